@@ -1,0 +1,290 @@
+//! Sizes and switches of the network.
+
+use serde::{Deserialize, Serialize};
+
+/// The network and the preparation of its inputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelConfig {
+    /// Side of the square, masked colour crop in pixels.
+    pub image_size: usize,
+    /// Reference points sampled before farthest point sampling.
+    pub reference_points: usize,
+    /// Points per cloud in the fine stage (N_f).
+    pub fine_points: usize,
+    /// Points per cloud in the coarse stage (N_c).
+    pub coarse_points: usize,
+    pub color: ColorConfig,
+    pub geo_embedding: GeoEmbeddingConfig,
+    pub coarse: MatchingConfig,
+    pub fine: FineConfig,
+    /// Structure embedding from the global reference frame (true) or from the camera-frame cloud (false).
+    pub use_grf: bool,
+    /// Run the fine stage; without it the coarse pose is the answer.
+    pub use_fine: bool,
+    /// How overlap scores weigh the matches.
+    pub overlap: OverlapMode,
+    pub hypotheses: HypothesisConfig,
+    pub quirks: Quirks,
+}
+
+/// Colour features per point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum ColorConfig {
+    /// DINOv2-style vision transformer with linear up-sampling to a quarter of the crop's resolution.
+    Vit(VitConfig),
+    /// Small trainable convolutional encoder, feature map at a quarter of the crop's resolution.
+    Conv {
+        /// Channels after the three stages (full, half, quarter resolution).
+        channels: [usize; 3],
+        /// Channels of the feature map.
+        out_dim: usize,
+    },
+    /// Geometry only: every point gets the same learned vector.
+    None {
+        /// Channels of the constant feature.
+        out_dim: usize,
+    },
+}
+
+/// Vision transformer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VitConfig {
+    pub embed_dim: usize,
+    pub depth: usize,
+    pub heads: usize,
+    pub patch_size: usize,
+    pub register_tokens: usize,
+    /// The position embedding has no entry for the class token (timm's register variants).
+    pub no_embed_class: bool,
+    /// Channels of the up-sampled feature map.
+    pub out_dim: usize,
+    /// Do not train the transformer (the up-sampling is always trained).
+    pub freeze: bool,
+}
+
+/// Geometric structure embedding (GeoTransformer).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GeoEmbeddingConfig {
+    /// Distance unit, radii.
+    pub sigma_d: f32,
+    /// Angle unit, degrees.
+    pub sigma_a: f32,
+    /// Neighbours per point for the triplet angles.
+    pub angle_k: usize,
+    /// Width, equal to the width of both matching stages.
+    pub hidden_dim: usize,
+    /// How the two linear maps of the sinusoids are evaluated.
+    pub evaluation: EmbeddingEvaluation,
+}
+
+/// Evaluation of `proj(sinusoid(x))` for every pair of points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EmbeddingEvaluation {
+    /// Sinusoid and linear map per entry, as the release does.
+    Exact,
+    /// Linear interpolation in a table of the mapped sinusoid, rebuilt from the weights in every forward pass.
+    Table,
+}
+
+/// One matching stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MatchingConfig {
+    pub blocks: usize,
+    pub heads: usize,
+    /// Width of the transformer.
+    pub hidden_dim: usize,
+    /// Width of the matching features.
+    pub out_dim: usize,
+    /// Softmax temperature of the cosine similarity.
+    pub temperature: f32,
+}
+
+/// The fine stage's additions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FineConfig {
+    pub matching: MatchingConfig,
+    /// Radii of the two ball queries of the positional encoding, in radii.
+    pub pe_radii: [f32; 2],
+    /// Neighbours per ball.
+    pub pe_samples: [usize; 2],
+    /// Channels of the positional encoding's three layers, for each of the two balls.
+    pub pe_channels: [usize; 3],
+    /// Local-reference-frame coordinates in the positional encoding (with the offsets).
+    pub use_lrf: bool,
+    /// Exponent of the focused linear attention.
+    pub focusing_factor: f32,
+}
+
+/// Use of the predicted overlap in the assignment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OverlapMode {
+    /// Row softmax x column softmax x both overlap scores.
+    Release,
+    /// Overlap-weighted features inside the softmaxes (paper, "overlap-aware matching").
+    Paper,
+    /// No overlap heads.
+    Off,
+}
+
+/// Coarse pose from sampled correspondence triplets.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HypothesisConfig {
+    /// Sampled triplets.
+    pub proposals: usize,
+    /// Triplets kept by residual and scored against the cloud.
+    pub kept: usize,
+    /// Exponent of the assignment when sampling.
+    pub power: f32,
+}
+
+/// Behaviours of the official release that differ from what it means to compute. `true` reproduces the release
+/// (its weights need that), `false` is the corrected form.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Quirks {
+    /// Reference frame coordinates are gathered with the indices of another point order.
+    pub misaligned_reference_grf: bool,
+    /// The sparse tokens of the fine stage are those of the previous dense point.
+    pub sparse_off_by_one: bool,
+    /// Coarse overlap scores of the reference start at the reference's count.
+    pub score_split_at_reference: bool,
+    /// The translation of the noisy training pose is clamped to z >= 1e-6.
+    pub clamp_noisy_translation: bool,
+    /// Clouds stay in their camera frames (false: each is centred on its own mean).
+    pub uncentred_clouds: bool,
+    /// The sign of a frame's z axis comes from counting points beyond 1e-3 on both sides (false: sign of the sum of cubes).
+    pub counted_z_sign: bool,
+    /// Hypothesis triplets may repeat points or be collinear.
+    pub degenerate_triplets: bool,
+    /// Training rotates the reference by three uniform Euler angles (false: uniform on SO(3)).
+    pub euler_reference_rotation: bool,
+    /// Masked reference and training pixels without depth become the point (0, 0, 0).
+    pub keep_zero_depth: bool,
+    /// The reference may come from the query's image; symmetric objects get no special labels.
+    pub same_image_reference: bool,
+    /// BatchNorm of the positional encoding counts padded neighbours.
+    pub batchnorm_counts_padding: bool,
+}
+
+impl Quirks {
+    /// Everything as the release does it.
+    pub fn release() -> Self {
+        Self {
+            misaligned_reference_grf: true,
+            sparse_off_by_one: true,
+            score_split_at_reference: true,
+            clamp_noisy_translation: true,
+            uncentred_clouds: true,
+            counted_z_sign: true,
+            degenerate_triplets: true,
+            euler_reference_rotation: true,
+            keep_zero_depth: true,
+            same_image_reference: true,
+            batchnorm_counts_padding: true,
+        }
+    }
+
+    /// Everything corrected.
+    pub fn corrected() -> Self {
+        Self {
+            misaligned_reference_grf: false,
+            sparse_off_by_one: false,
+            score_split_at_reference: false,
+            clamp_noisy_translation: false,
+            uncentred_clouds: false,
+            counted_z_sign: false,
+            degenerate_triplets: false,
+            euler_reference_rotation: false,
+            keep_zero_depth: false,
+            same_image_reference: false,
+            batchnorm_counts_padding: false,
+        }
+    }
+}
+
+impl Default for Quirks {
+    fn default() -> Self {
+        Self::corrected()
+    }
+}
+
+impl Default for ModelConfig {
+    fn default() -> Self {
+        Self {
+            image_size: 224,
+            reference_points: 5000,
+            fine_points: 2048,
+            coarse_points: 196,
+            color: ColorConfig::Vit(VitConfig::default()),
+            geo_embedding: GeoEmbeddingConfig::default(),
+            coarse: MatchingConfig::default(),
+            fine: FineConfig::default(),
+            use_grf: true,
+            use_fine: true,
+            overlap: OverlapMode::Release,
+            hypotheses: HypothesisConfig::default(),
+            quirks: Quirks::default(),
+        }
+    }
+}
+
+impl Default for VitConfig {
+    fn default() -> Self {
+        Self {
+            embed_dim: 768,
+            depth: 12,
+            heads: 12,
+            patch_size: 14,
+            register_tokens: 4,
+            no_embed_class: true,
+            out_dim: 256,
+            freeze: true,
+        }
+    }
+}
+
+impl Default for GeoEmbeddingConfig {
+    fn default() -> Self {
+        Self {
+            sigma_d: 0.2,
+            sigma_a: 15.0,
+            angle_k: 3,
+            hidden_dim: 256,
+            evaluation: EmbeddingEvaluation::Table,
+        }
+    }
+}
+
+impl Default for MatchingConfig {
+    fn default() -> Self {
+        Self { blocks: 3, heads: 4, hidden_dim: 256, out_dim: 256, temperature: 0.1 }
+    }
+}
+
+impl Default for FineConfig {
+    fn default() -> Self {
+        Self {
+            matching: MatchingConfig::default(),
+            pe_radii: [0.1, 0.2],
+            pe_samples: [64, 256],
+            pe_channels: [32, 64, 128],
+            use_lrf: true,
+            focusing_factor: 3.0,
+        }
+    }
+}
+
+impl Default for HypothesisConfig {
+    fn default() -> Self {
+        Self { proposals: 6000, kept: 300, power: 1.5 }
+    }
+}

@@ -1,0 +1,30 @@
+//! Dataset files: BOP scene-wise folders, MegaPose webdataset shards, detections, targets, result tables.
+//!
+//! Millimetres live only in the structs that mirror the files; everything handed out is in metres.
+
+use crate::{
+    frame::{Mask, RgbdFrame},
+    geometry::Pose,
+};
+
+/// An annotated RGB-D image, the same whether it came from a BOP folder or a shard.
+#[derive(Clone, Debug)]
+pub struct AnnotatedFrame {
+    pub frame: RgbdFrame,
+    pub instances: Vec<Instance>,
+}
+
+/// One object instance of an image.
+#[derive(Clone, Debug)]
+pub struct Instance {
+    /// Dataset-wide object id (MegaPose object names are mapped to their index in the models list).
+    pub obj_id: u32,
+    /// Object to camera.
+    pub t_camera_object: Pose,
+    /// Share of the object's silhouette that is visible, 0..1.
+    pub visib_fract: f64,
+    /// Number of visible pixels.
+    pub px_count_visib: u32,
+    /// Visible part.
+    pub mask_visib: Mask,
+}

@@ -1,0 +1,74 @@
+//! Rigid transforms. A variable named `t_a_b` holds the pose that maps coordinates in frame `b` to frame `a`.
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Rigid transform `x -> rotation * x + translation`, metres (or radii where a doc says so).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    pub rotation: Matrix3<f64>,
+    pub translation: Vector3<f64>,
+}
+
+impl Pose {
+    pub fn identity() -> Self {
+        Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
+    }
+
+    pub fn new(rotation: Matrix3<f64>, translation: Vector3<f64>) -> Self {
+        Self { rotation, translation }
+    }
+
+    /// From a row-major rotation and a translation (metres).
+    pub fn from_row_major(r: &[f64; 9], t: &[f64; 3]) -> Self {
+        Self::new(Matrix3::from_row_slice(r), Vector3::from_row_slice(t))
+    }
+
+    /// Row-major rotation.
+    pub fn rotation_row_major(&self) -> [f64; 9] {
+        let m = &self.rotation;
+        std::array::from_fn(|i| m[(i / 3, i % 3)])
+    }
+
+    pub fn inverse(&self) -> Self {
+        let r = self.rotation.transpose();
+        Self::new(r, -(r * self.translation))
+    }
+
+    pub fn transform(&self, p: &Point3<f64>) -> Point3<f64> {
+        Point3::from(self.rotation * p.coords + self.translation)
+    }
+
+    /// [`Self::transform`] of single-precision coordinates.
+    pub fn transform_f32(&self, p: &[f32; 3]) -> [f32; 3] {
+        let q = self.rotation * Vector3::new(p[0] as f64, p[1] as f64, p[2] as f64) + self.translation;
+        [q.x as f32, q.y as f32, q.z as f32]
+    }
+
+    /// Geodesic angle between two rotations, degrees in [0, 180].
+    pub fn rotation_angle_deg(&self, other: &Self) -> f64 {
+        // atan2 of the quaternion's parts is accurate at both ends, unlike acos of the trace.
+        let r = Rotation3::from_matrix_unchecked(self.rotation.transpose() * other.rotation);
+        let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
+        2.0 * q.imag().norm().atan2(q.scalar().abs()).to_degrees()
+    }
+
+    /// Distance between the two translations.
+    pub fn translation_distance(&self, other: &Self) -> f64 {
+        (self.translation - other.translation).norm()
+    }
+
+    /// Largest entry of `|R^T R - I|` and of `|det R - 1|`; small for a proper rotation.
+    pub fn rotation_defect(&self) -> f64 {
+        let gram = self.rotation.transpose() * self.rotation - Matrix3::identity();
+        gram.abs().max().max((self.rotation.determinant() - 1.0).abs())
+    }
+}
+
+/// `t_a_b * t_b_c = t_a_c`.
+impl std::ops::Mul for Pose {
+    type Output = Pose;
+    fn mul(self, rhs: Pose) -> Pose {
+        Pose::new(self.rotation * rhs.rotation, self.rotation * rhs.translation + self.translation)
+    }
+}
