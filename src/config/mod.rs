@@ -1,10 +1,49 @@
 //! The one configuration tree (TOML).
+//!
+//! [`Config::load`] reads a file that holds only what differs from the defaults, applies `--set a.b=c` overrides and
+//! checks every range; [`Config::to_toml`] writes the complete, resolved tree. Unknown keys are errors that name the
+//! file, the line and the nearest valid key.
 
+mod error;
+mod load;
 mod loss;
 mod model;
+mod overrides;
+mod train;
+mod validate;
 
+pub use error::ConfigError;
+pub use load::EMBEDDED_NAMES;
 pub use loss::LossConfig;
 pub use model::{
     ColorConfig, EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, MatchingConfig,
     ModelConfig, OverlapMode, Quirks, VitConfig,
 };
+pub use train::TrainConfig;
+
+use serde::{Deserialize, Serialize};
+
+/// Everything a run depends on, apart from the data's content and the machine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Name of the run: results go to `runs/<name>`.
+    pub name: String,
+    /// Seed of every random stream: data, initial weights, sampling.
+    pub seed: u64,
+    pub model: ModelConfig,
+    pub loss: LossConfig,
+    pub train: TrainConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            name: "unopose".into(),
+            seed: 0,
+            model: ModelConfig::default(),
+            loss: LossConfig::default(),
+            train: TrainConfig::default(),
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! Optimisation, its schedule, and what a training run writes when.
+
+use serde::{Deserialize, Serialize};
+
+/// The training loop. Defaults are the release's (network page, section 8).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainConfig {
+    /// Optimizer steps of the whole run; the learning rate reaches zero at the last one.
+    pub steps: u64,
+    /// Pairs per forward and backward pass.
+    pub batch_size: usize,
+    /// Passes whose gradients are averaged into one optimizer step.
+    pub accumulation: usize,
+    /// Peak learning rate.
+    pub learning_rate: f64,
+    /// Adam's decay of the first and second moment.
+    pub betas: [f32; 2],
+    /// Adam's denominator offset.
+    pub epsilon: f32,
+    /// Steps of linear warm-up.
+    pub warmup_steps: u64,
+    /// Share of the peak learning rate at step 0.
+    pub warmup_factor: f64,
+    /// Largest global gradient norm; larger gradients are scaled down. 0: no clipping.
+    pub clip_norm: f64,
+    /// Decay of the exponential moving average of the weights, used for validation and `best`. 0: none.
+    pub ema_decay: f64,
+    /// Steps between validations; the first is before training, the last at its end.
+    pub validate_every: u64,
+    /// Minutes between validations, when they come sooner than `validate_every`. 0: by steps only.
+    pub validate_minutes: f64,
+    /// Pairs in a validation.
+    pub validation_pairs: usize,
+    /// Seconds between checkpoints of the whole training state.
+    pub checkpoint_seconds: f64,
+    /// Threads that prepare pairs. 0: one per core.
+    pub workers: usize,
+    /// Batches prepared ahead.
+    pub prefetch: usize,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            steps: 188_340,
+            batch_size: 32,
+            accumulation: 1,
+            learning_rate: 1e-4,
+            betas: [0.5, 0.999],
+            epsilon: 1e-6,
+            warmup_steps: 1000,
+            warmup_factor: 1e-3,
+            clip_norm: 0.0,
+            ema_decay: 0.0,
+            validate_every: 5000,
+            validate_minutes: 0.0,
+            validation_pairs: 64,
+            checkpoint_seconds: 600.0,
+            workers: 0,
+            prefetch: 2,
+        }
+    }
+}
