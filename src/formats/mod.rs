@@ -2,6 +2,11 @@
 //!
 //! Millimetres live only in the structs that mirror the files; everything handed out is in metres.
 
+mod error;
+pub mod rle;
+
+pub use error::FormatError;
+
 use crate::{
     frame::{Mask, RgbdFrame},
     geometry::Pose,
