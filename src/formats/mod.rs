@@ -2,10 +2,14 @@
 //!
 //! Millimetres live only in the structs that mirror the files; everything handed out is in metres.
 
+pub mod camera;
 mod error;
+pub mod files;
+pub mod image_io;
 pub mod rle;
 
 pub use error::FormatError;
+pub use files::write_atomic;
 
 use crate::{
     frame::{Mask, RgbdFrame},
