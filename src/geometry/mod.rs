@@ -1,9 +1,28 @@
 //! Geometry on plain point slices: cameras, poses, sampling, reference frames, neighbours, registration.
 //!
-//! Knows no tensors and no files. Clouds are `&[[f32; 3]]`, poses are `f64`.
+//! Knows no tensors and no files. Clouds are `&[[f32; 3]]`, poses are `f64`. Loops over many points run on rayon;
+//! results do not depend on the number of threads.
 
+mod assignment;
 mod camera;
+mod coarse_pose;
+mod columns;
+mod fine_pose;
+mod neighbors;
 mod pose;
+mod procrustes;
+mod reference_frame;
+mod sampling;
+mod structure;
+mod svd;
 
+pub use assignment::{Assignment, match_assignment};
 pub use camera::{Intrinsics, IntrinsicsError};
+pub use coarse_pose::{CoarsePose, Hypothesis, coarse_pose, match_distribution};
+pub use fine_pose::{FinePose, fine_pose};
+pub use neighbors::{BallGroups, BallQuery, ball_groups, ball_query, nearest_distances};
 pub use pose::Pose;
+pub use procrustes::weighted_procrustes;
+pub use reference_frame::{FrameAxes, GlobalReferenceFrame, global_reference_frame};
+pub use sampling::{farthest_point_sampling, radius_about_mean};
+pub use structure::{StructureIndices, structure_indices};

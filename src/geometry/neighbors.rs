@@ -1,0 +1,112 @@
+//! Ball queries with local reference frames, and nearest neighbours.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::{columns::Columns, columns::LANES, procrustes::vector, reference_frame::local_axes};
+
+/// Neighbours of every centre in index order, `[centres, samples]`.
+#[derive(Clone, Debug)]
+pub struct BallQuery {
+    /// Short lists repeat their first entry; a centre without neighbours has zeros.
+    pub indices: Vec<u32>,
+    /// Neighbours before padding.
+    pub counts: Vec<u32>,
+}
+
+/// Neighbourhood features of every point for the positional encoding.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BallGroups {
+    pub samples: usize,
+    /// `[N, samples, 6]` (`[N, samples, 3]` without local frames): offset to the neighbour in radii of the object,
+    /// then its coordinates in the local frame in ball radii. Padded entries repeat the first.
+    pub features: Vec<f32>,
+    /// Neighbours before padding, `[N]`.
+    pub counts: Vec<u32>,
+}
+
+/// For each centre the first `samples` points with distance strictly below `radius`.
+pub fn ball_query(centres: &[[f32; 3]], points: &[[f32; 3]], radius: f32, samples: usize) -> BallQuery {
+    let columns = Columns::new(points);
+    let mut indices = vec![0u32; centres.len() * samples];
+    let counts = indices
+        .par_chunks_mut(samples.max(1))
+        .zip(centres)
+        .with_min_len(64)
+        .map(|(row, &centre)| {
+            let count = ball_of(&columns, centre, radius * radius, row);
+            let first = row.first().copied().unwrap_or(0);
+            row[count..].fill(if count == 0 { 0 } else { first });
+            count as u32
+        })
+        .collect();
+    BallQuery { indices, counts }
+}
+
+/// Fills `row` with the points inside the ball and returns their number (at most the row's length).
+fn ball_of(columns: &Columns, centre: [f32; 3], squared_radius: f32, row: &mut [u32]) -> usize {
+    let mut count = 0;
+    for (run, distances) in columns.squared_distances(centre).enumerate() {
+        if !distances.iter().fold(false, |any, &d| any | (d < squared_radius)) {
+            continue;
+        }
+        for l in (0..LANES).filter(|&l| distances[l] < squared_radius) {
+            if count == row.len() {
+                return count;
+            }
+            row[count] = (run * LANES + l) as u32;
+            count += 1;
+        }
+    }
+    count
+}
+
+/// Ball queries around every point of a cloud (in object radii) with the offsets and, with `use_lrf`, the local
+/// frame coordinates of the neighbours. Padded entries count in the frames, as in the release.
+pub fn ball_groups(
+    points: &[[f32; 3]],
+    radius: f32,
+    samples: usize,
+    use_lrf: bool,
+    counted_sign: bool,
+) -> BallGroups {
+    let channels = if use_lrf { 6 } else { 3 };
+    let columns = Columns::new(points);
+    let mut features = vec![0.0f32; points.len() * samples * channels];
+    let counts = features
+        .par_chunks_mut((samples * channels).max(1))
+        .zip(points)
+        .with_min_len(32)
+        .map_init(
+            || (vec![0u32; samples], Vec::new()),
+            |(row, offsets): &mut (Vec<u32>, Vec<Vector3<f64>>), (group, centre)| {
+                let count = ball_of(&columns, *centre, radius * radius, row);
+                let at = |i: u32| &points[i as usize];
+                for (entry, &i) in group.chunks_exact_mut(channels).zip(&row[..count]) {
+                    (0..3).for_each(|axis| entry[axis] = at(i)[axis] - centre[axis]);
+                }
+                if use_lrf {
+                    offsets.clear();
+                    offsets.extend(row[..count].iter().map(|&i| vector(at(i)) - vector(centre)));
+                    let axes = local_axes(offsets, samples - count, radius as f64, counted_sign);
+                    for (entry, d) in group.chunks_exact_mut(channels).zip(offsets.iter()) {
+                        let local = axes.coordinates(d) / radius as f64;
+                        (0..3).for_each(|axis| entry[3 + axis] = local[axis] as f32);
+                    }
+                }
+                let (found, padding) = group.split_at_mut(count * channels);
+                if let Some(first) = found.get(..channels) {
+                    padding.chunks_exact_mut(channels).for_each(|entry| entry.copy_from_slice(first));
+                }
+                count as u32
+            },
+        )
+        .collect();
+    BallGroups { samples, features, counts }
+}
+
+/// Distance of every point of `from` to its nearest point of `to`; infinite when `to` is empty.
+pub fn nearest_distances(from: &[[f32; 3]], to: &[[f32; 3]]) -> Vec<f32> {
+    let columns = Columns::new(to);
+    from.par_iter().with_min_len(64).map(|&p| columns.nearest_squared(p).sqrt()).collect()
+}
