@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{BufReader, BufWriter, Write},
+    io::{BufWriter, Write},
     path::Path,
 };
 
@@ -40,9 +40,8 @@ pub fn write_atomic(
 
 /// Parses a JSON file; the error names the file, line and column.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FormatError> {
-    let file = File::open(path).map_err(|e| FormatError::io(path, e))?;
-    serde_json::from_reader(BufReader::new(file))
-        .map_err(|source| FormatError::Json { path: path.to_path_buf(), source })
+    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
+    serde_json::from_slice(&bytes).map_err(|source| FormatError::Json { path: path.to_path_buf(), source })
 }
 
 /// Writes a JSON file atomically, indented when `pretty`.

@@ -2,14 +2,25 @@
 //!
 //! Millimetres live only in the structs that mirror the files; everything handed out is in metres.
 
+pub mod bop;
 pub mod camera;
+pub mod detections;
 mod error;
 pub mod files;
 pub mod image_io;
+pub mod models;
+pub mod results;
 pub mod rle;
+pub mod symmetry;
+pub mod targets;
 
+pub use bop::{BopDataset, BopScene, BopSplit};
 pub use error::FormatError;
 pub use files::write_atomic;
+pub use models::ModelInfo;
+pub use results::PoseResult;
+pub use symmetry::{ObjectSymmetries, SymmetryAxis};
+pub use targets::{ReferenceTarget, Target};
 
 use crate::{
     frame::{Mask, RgbdFrame},
