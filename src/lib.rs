@@ -1,7 +1,9 @@
 //! One-reference 6-DoF pose estimation of unseen objects (UNOPose, CVPR 2025): training and inference.
 
+pub mod checkpoint;
 pub mod config;
 pub mod data;
+pub mod device;
 pub mod eval;
 pub mod formats;
 pub mod frame;

@@ -1,0 +1,202 @@
+//! Weights in safetensors files.
+//!
+//! [`save`] writes a network with its configuration, [`load`] makes the network the file describes and fills it,
+//! [`load_into`] fills a given one. Loading is strict: missing, unknown and wrongly shaped tensors are all listed.
+//!
+//! Tensor names and layouts are those of the official PyTorch state (`coarse_point_matching.in_proj.weight`, linear
+//! weights `[out, in]`, normalisation `weight`/`bias`), so that files can be exchanged with it. The metadata hold the
+//! format version, the step, the complete configuration as TOML, and whatever the writer adds.
+
+mod error;
+mod file;
+mod official;
+
+pub use error::{CheckpointError, Mismatch};
+pub use file::TensorFile;
+pub use official::load_official;
+
+use std::{collections::BTreeMap, path::Path};
+
+use burn::{
+    module::Module,
+    store::{BurnToPyTorchAdapter, ModuleSnapshot, PyTorchToBurnAdapter, bridge},
+    tensor::{Device, TensorData},
+};
+
+use crate::{
+    config::{Config, ModelConfig},
+    model::UnoPose,
+};
+
+/// Version of the file layout; a reader refuses any other.
+const FORMAT_VERSION: &str = "1";
+
+/// What a checkpoint says besides its weights and configuration.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Meta {
+    /// Optimizer steps taken.
+    pub step: u64,
+    /// Further entries of the writer.
+    pub extra: BTreeMap<String, String>,
+}
+
+/// Writes `model` and its configuration to `path`, atomically.
+pub fn save<M: Module>(path: &Path, model: &M, config: &Config, meta: &Meta) -> Result<(), CheckpointError> {
+    let config =
+        config.to_toml().map_err(|source| CheckpointError::Config { path: path.to_owned(), source })?;
+    let mut metadata = meta.extra.clone();
+    metadata.insert("format_version".into(), FORMAT_VERSION.into());
+    metadata.insert("step".into(), meta.step.to_string());
+    metadata.insert("config".into(), config);
+    TensorFile { tensors: tensors_of(model, path)?, metadata }.write(path)
+}
+
+/// Reads a network, its configuration and the rest of the metadata.
+pub fn load(path: &Path, device: &Device) -> Result<(UnoPose, Config, Meta), CheckpointError> {
+    from_file(TensorFile::read(path)?, path, device)
+}
+
+/// [`load`] from the bytes of a checkpoint; `name` is only for messages.
+pub fn load_bytes(
+    bytes: &[u8],
+    name: &str,
+    device: &Device,
+) -> Result<(UnoPose, Config, Meta), CheckpointError> {
+    let path = Path::new(name);
+    from_file(TensorFile::from_bytes(bytes, path)?, path, device)
+}
+
+fn from_file(
+    file: TensorFile,
+    path: &Path,
+    device: &Device,
+) -> Result<(UnoPose, Config, Meta), CheckpointError> {
+    let config =
+        config_of(&file, path)?.ok_or_else(|| metadata_error(path, "config", "absent", "a configuration"))?;
+    let meta = meta_of(&file, path)?;
+    let model = fill(UnoPose::new(&config.model, config.seed, device), file, path, Some(&config.model))?;
+    Ok((model, config, meta))
+}
+
+/// Fills `model`, which was made from `config`, with the weights of `path`.
+pub fn load_into<M: Module>(
+    path: &Path,
+    model: M,
+    config: &ModelConfig,
+) -> Result<(M, Meta), CheckpointError> {
+    let file = TensorFile::read(path)?;
+    let meta = meta_of(&file, path)?;
+    Ok((fill(model, file, path, Some(config))?, meta))
+}
+
+fn fill<M: Module>(
+    mut model: M,
+    file: TensorFile,
+    path: &Path,
+    ours: Option<&ModelConfig>,
+) -> Result<M, CheckpointError> {
+    let own = shapes_of(&model);
+    let mut mismatch = Mismatch {
+        missing: own.keys().filter(|name| !file.tensors.contains_key(*name)).cloned().collect(),
+        ..Mismatch::default()
+    };
+    for (name, data) in &file.tensors {
+        match own.get(name) {
+            None => mismatch.extra.push(name.clone()),
+            Some(shape) if shape[..] != data.shape()[..] => {
+                mismatch.shapes.push((name.clone(), data.shape().to_vec(), shape.clone()));
+            }
+            Some(_) => {}
+        }
+    }
+    if !mismatch.fits() {
+        // The configuration inside explains the tensors; a file without a readable one is judged by them alone.
+        if let (Some(ours), Ok(Some(theirs))) = (ours, config_of(&file, path)) {
+            mismatch.config = differences(&theirs.model, ours);
+        }
+        return Err(CheckpointError::Mismatch { path: path.to_owned(), mismatch: Box::new(mismatch) });
+    }
+    // Statistics of a forward pass that are still to be merged would overwrite the loaded ones: merge them now.
+    drop(model.valid());
+    let tensors = file.tensors.into_iter().map(|(name, data)| bridge::from_data(data, name, None)).collect();
+    let result = model.apply(tensors, None, Some(Box::new(PyTorchToBurnAdapter)), true);
+    match result.errors.first() {
+        Some(error) => Err(CheckpointError::Format { path: path.to_owned(), message: error.to_string() }),
+        None => Ok(model),
+    }
+}
+
+/// All parameters and buffers under their official names and in their official layouts, on the host.
+fn tensors_of<M: Module>(model: &M, path: &Path) -> Result<BTreeMap<String, TensorData>, CheckpointError> {
+    // Batch statistics of the last forward pass are only merged on demand; `valid` demands it.
+    model
+        .valid()
+        .collect(None, Some(Box::new(BurnToPyTorchAdapter)), true)
+        .into_iter()
+        .map(|tensor| {
+            let name = tensor.name.clone();
+            match bridge::into_data(tensor) {
+                Ok(data) => Ok((name, data.convert::<f32>())),
+                Err(e) => {
+                    Err(CheckpointError::Tensor { path: path.to_owned(), name, message: e.to_string() })
+                }
+            }
+        })
+        .collect()
+}
+
+fn shapes_of<M: Module>(model: &M) -> BTreeMap<String, Vec<usize>> {
+    let tensors = model.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
+    tensors.into_iter().map(|tensor| (tensor.name.clone(), tensor.shape.to_vec())).collect()
+}
+
+fn config_of(file: &TensorFile, path: &Path) -> Result<Option<Config>, CheckpointError> {
+    let parse = |text: &String| Config::from_toml(text, path, &[]);
+    let config = file.metadata.get("config").map(parse).transpose();
+    config.map_err(|source| CheckpointError::Config { path: path.to_owned(), source })
+}
+
+fn meta_of(file: &TensorFile, path: &Path) -> Result<Meta, CheckpointError> {
+    let mut extra = file.metadata.clone();
+    extra.remove("config");
+    let version = extra.remove("format_version").unwrap_or_else(|| "absent".into());
+    if version != FORMAT_VERSION {
+        return Err(metadata_error(path, "format_version", &version, FORMAT_VERSION));
+    }
+    let step = extra.remove("step").unwrap_or_else(|| "absent".into());
+    let step = step.parse().map_err(|_| metadata_error(path, "step", &step, "a number of steps"))?;
+    Ok(Meta { step, extra })
+}
+
+fn metadata_error(path: &Path, key: &'static str, value: &str, expected: &str) -> CheckpointError {
+    CheckpointError::Metadata { path: path.to_owned(), key, value: value.into(), expected: expected.into() }
+}
+
+/// Fields in which two model configurations differ: path, theirs, ours.
+fn differences(theirs: &ModelConfig, ours: &ModelConfig) -> Vec<(String, String, String)> {
+    let mut found = Vec::new();
+    if let (Ok(theirs), Ok(ours)) = (toml::Value::try_from(theirs), toml::Value::try_from(ours)) {
+        compare("model", Some(&theirs), Some(&ours), &mut found);
+    }
+    found
+}
+
+fn compare(
+    path: &str,
+    theirs: Option<&toml::Value>,
+    ours: Option<&toml::Value>,
+    found: &mut Vec<(String, String, String)>,
+) {
+    if let (Some(toml::Value::Table(theirs)), Some(toml::Value::Table(ours))) = (theirs, ours) {
+        let keys: std::collections::BTreeSet<&String> = theirs.keys().chain(ours.keys()).collect();
+        for key in keys {
+            compare(&format!("{path}.{key}"), theirs.get(key), ours.get(key), found);
+        }
+    } else if theirs != ours {
+        let text = |value: Option<&toml::Value>| value.map_or("absent".into(), ToString::to_string);
+        found.push((path.into(), text(theirs), text(ours)));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,147 @@
+//! Choice of the compute device at run time.
+//!
+//! The default build holds one backend, `flex` (CPU). The others are cargo features of the same names.
+
+use std::{fmt, str::FromStr};
+
+use burn::tensor::Device;
+
+/// A backend by name, as given to `--device`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DeviceChoice {
+    /// The fastest backend of this build that finds hardware: cuda, wgpu, flex, ndarray.
+    #[default]
+    Auto,
+    Flex,
+    NdArray,
+    Wgpu,
+    Cuda,
+}
+
+/// Why there is no such device.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum DeviceError {
+    #[error("unknown device {0:?}, expected auto, flex, ndarray, wgpu or cuda")]
+    Unknown(String),
+    #[error("this build has no {0} backend; build it with `cargo build --release --features {0}`")]
+    NotBuilt(DeviceChoice),
+    #[error("the {0} backend finds no device on this machine")]
+    NoHardware(DeviceChoice),
+    #[error("this build has no backend at all; build it with one of the features flex, ndarray, wgpu, cuda")]
+    NoBackend,
+}
+
+impl FromStr for DeviceChoice {
+    type Err = DeviceError;
+
+    fn from_str(name: &str) -> Result<Self, DeviceError> {
+        match name {
+            "auto" => Ok(Self::Auto),
+            "flex" => Ok(Self::Flex),
+            "ndarray" => Ok(Self::NdArray),
+            "wgpu" => Ok(Self::Wgpu),
+            "cuda" => Ok(Self::Cuda),
+            _ => Err(DeviceError::Unknown(name.to_owned())),
+        }
+    }
+}
+
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Auto => "auto",
+            Self::Flex => "flex",
+            Self::NdArray => "ndarray",
+            Self::Wgpu => "wgpu",
+            Self::Cuda => "cuda",
+        })
+    }
+}
+
+impl DeviceChoice {
+    /// The device, without autodiff, and the name of its backend.
+    pub fn open(self) -> Result<(Device, DeviceChoice), DeviceError> {
+        match self {
+            Self::Auto => [Self::Cuda, Self::Wgpu, Self::Flex, Self::NdArray]
+                .into_iter()
+                .find_map(|choice| choice.open().ok())
+                .ok_or(DeviceError::NoBackend),
+            Self::Flex => flex(),
+            Self::NdArray => ndarray(),
+            Self::Wgpu => wgpu(),
+            Self::Cuda => cuda(),
+        }
+    }
+}
+
+type Opened = Result<(Device, DeviceChoice), DeviceError>;
+
+#[cfg(feature = "flex")]
+fn flex() -> Opened {
+    Ok((Device::flex(), DeviceChoice::Flex))
+}
+
+#[cfg(not(feature = "flex"))]
+fn flex() -> Opened {
+    Err(DeviceError::NotBuilt(DeviceChoice::Flex))
+}
+
+#[cfg(feature = "ndarray")]
+#[allow(deprecated)] // kept for comparison with flex
+fn ndarray() -> Opened {
+    Ok((Device::ndarray(), DeviceChoice::NdArray))
+}
+
+#[cfg(not(feature = "ndarray"))]
+fn ndarray() -> Opened {
+    Err(DeviceError::NotBuilt(DeviceChoice::NdArray))
+}
+
+#[cfg(feature = "wgpu")]
+fn wgpu() -> Opened {
+    first_of(burn::tensor::DeviceType::Wgpu, DeviceChoice::Wgpu)
+}
+
+#[cfg(not(feature = "wgpu"))]
+fn wgpu() -> Opened {
+    Err(DeviceError::NotBuilt(DeviceChoice::Wgpu))
+}
+
+#[cfg(feature = "cuda")]
+fn cuda() -> Opened {
+    first_of(burn::tensor::DeviceType::Cuda, DeviceChoice::Cuda)
+}
+
+#[cfg(not(feature = "cuda"))]
+fn cuda() -> Opened {
+    Err(DeviceError::NotBuilt(DeviceChoice::Cuda))
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn first_of(kind: burn::tensor::DeviceType, choice: DeviceChoice) -> Opened {
+    let devices = std::panic::catch_unwind(|| Device::enumerate(kind)).ok();
+    let device = devices.and_then(|devices| devices.into_iter().next());
+    device.map(|device| (device, choice)).ok_or(DeviceError::NoHardware(choice))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip_and_unknown_ones_are_refused() {
+        for name in ["auto", "flex", "ndarray", "wgpu", "cuda"] {
+            assert_eq!(name.parse::<DeviceChoice>().unwrap().to_string(), name);
+        }
+        let error = "gpu".parse::<DeviceChoice>().unwrap_err();
+        assert_eq!(error.to_string(), "unknown device \"gpu\", expected auto, flex, ndarray, wgpu or cuda");
+    }
+
+    #[test]
+    #[cfg(not(feature = "cuda"))]
+    fn a_backend_that_is_not_built_names_its_feature() {
+        let error = DeviceChoice::Cuda.open().unwrap_err();
+        assert!(error.to_string().contains("--features cuda"), "{error}");
+        assert!(DeviceChoice::Auto.open().is_ok());
+    }
+}
