@@ -16,7 +16,7 @@ pub struct LossConfig {
     pub saliency_weight: f32,
     /// Weight of the overlap terms.
     pub overlap_weight: f32,
-    /// Weight of the distance between soft correspondences and true positions in the fine stage, per radius.
+    /// Weight of the soft correspondence loss (CoFiNet), the paper's alternative to the overlap predictor.
     pub correspondence_weight: f32,
     /// The loss of one pair is clamped here.
     pub clamp: f32,

@@ -34,11 +34,11 @@ pub struct ModelConfig {
 pub enum ColorConfig {
     /// DINOv2-style vision transformer with linear up-sampling to a quarter of the crop's resolution.
     Vit(VitConfig),
-    /// Small trainable convolutional encoder, feature map at a quarter of the crop's resolution.
+    /// Small trainable convolutional encoder, sampled at the points on three levels.
     Conv {
-        /// Channels after the three stages (full, half, quarter resolution).
+        /// Channels at half, quarter and eighth resolution.
         channels: [usize; 3],
-        /// Channels of the feature map.
+        /// Channels of the point features.
         out_dim: usize,
     },
     /// Geometry only: every point gets the same learned vector.
@@ -214,6 +214,16 @@ impl Quirks {
 impl Default for Quirks {
     fn default() -> Self {
         Self::corrected()
+    }
+}
+
+impl ColorConfig {
+    /// Channels of a point's colour feature.
+    pub fn out_dim(&self) -> usize {
+        match self {
+            Self::Vit(vit) => vit.out_dim,
+            Self::Conv { out_dim, .. } | Self::None { out_dim } => *out_dim,
+        }
     }
 }
 

@@ -1,1 +1,149 @@
+//! The UNOPose network (CVPR 2025): colour features, geometric structure embedding, coarse and fine matching.
+//!
+//! Everything without a gradient (frames, neighbourhoods, distances, angles, sampling) comes prepared in
+//! [`PairTensors`]; the network sees tensors only and knows no files. Field names mirror the official state names, so
+//! the published weights load with no more mapping than layout.
 
+mod attention;
+mod batch_norm;
+mod conv_encoder;
+mod feature_extraction;
+mod geo_embedding;
+mod init;
+mod linear_attention;
+mod matching;
+mod positional_encoding;
+mod sparse_to_dense;
+mod stages;
+mod tensors;
+mod transformer;
+mod vit;
+
+pub use attention::MultiHeadAttention;
+pub use feature_extraction::{FeatureExtraction, PixelChoice};
+pub use geo_embedding::GeometricStructureEmbedding;
+pub use init::Initializer;
+pub use linear_attention::LinearTransformerLayer;
+pub use matching::BlockOutput;
+pub use positional_encoding::{GroupTensors, PositionalEncoding};
+pub use sparse_to_dense::{DenseTokens, SparseToDenseTransformer};
+pub use stages::{CoarseInput, CoarsePointMatching, FineInput, FinePointMatching, Supervision};
+pub use tensors::{CloudTensors, PairTensors, PoseTensors, group_tensors};
+pub use transformer::{GeometricTransformer, TransformerLayer};
+pub use vit::VisionTransformer;
+
+use burn::{
+    module::Module,
+    tensor::{Device, Tensor},
+};
+
+use crate::config::ModelConfig;
+
+/// The whole network.
+#[derive(Module, Debug)]
+pub struct UnoPose {
+    pub feature_extraction: FeatureExtraction,
+    pub geo_embedding: GeometricStructureEmbedding,
+    pub coarse_point_matching: CoarsePointMatching,
+    pub fine_point_matching: Option<FinePointMatching>,
+}
+
+/// Block outputs of both stages (the fine list is empty without a fine stage).
+#[derive(Clone, Debug)]
+pub struct MatchingOutputs {
+    pub coarse: Vec<BlockOutput>,
+    pub fine: Vec<BlockOutput>,
+}
+
+/// What the matching stages need of a cloud and what can be kept for later queries.
+#[derive(Clone, Debug)]
+pub struct CloudFeatures {
+    /// Colour features of the dense points `[B, N, C_color]`.
+    pub dense: Tensor<3>,
+    /// Structure embedding `[B, 1 + M, 1 + M, C]`.
+    pub embedding: Tensor<4>,
+}
+
+impl UnoPose {
+    /// A freshly initialised network; the same seed gives the same weights on every device.
+    pub fn new(config: &ModelConfig, seed: u64, device: &Device) -> Self {
+        let init = &mut Initializer::new(seed, device);
+        Self {
+            feature_extraction: FeatureExtraction::new(config, init),
+            geo_embedding: GeometricStructureEmbedding::new(&config.geo_embedding, init),
+            coarse_point_matching: CoarsePointMatching::new(config, init),
+            fine_point_matching: config.use_fine.then(|| FinePointMatching::new(config, init)),
+        }
+    }
+
+    /// Colour features and structure embedding of a batch of clouds.
+    pub fn encode(&self, cloud: &CloudTensors) -> CloudFeatures {
+        CloudFeatures {
+            dense: self.feature_extraction.forward(cloud.images.clone(), &cloud.choose),
+            embedding: self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone()),
+        }
+    }
+
+    /// Coarse stage on encoded clouds.
+    pub fn coarse(
+        &self,
+        query: (&CloudTensors, &CloudFeatures),
+        reference: (&CloudTensors, &CloudFeatures),
+        which: Supervision,
+    ) -> Vec<BlockOutput> {
+        let [query, reference] = [query, reference].map(|(cloud, features)| CoarseInput {
+            features: sparse_features(cloud, features),
+            embedding: features.embedding.clone(),
+        });
+        self.coarse_point_matching.forward(query, reference, which)
+    }
+
+    /// Fine stage on encoded clouds and their positional encodings `[B, N, C]`; empty without a fine stage.
+    pub fn fine(
+        &self,
+        query: (&CloudTensors, &CloudFeatures, Tensor<3>),
+        reference: (&CloudTensors, &CloudFeatures, Tensor<3>),
+        which: Supervision,
+    ) -> Vec<BlockOutput> {
+        let Some(stage) = &self.fine_point_matching else { return Vec::new() };
+        let [query, reference] = [query, reference].map(|(cloud, features, position)| FineInput {
+            features: features.dense.clone(),
+            position,
+            sparse_rows: cloud.sparse_tokens.clone(),
+            embedding: features.embedding.clone(),
+        });
+        stage.forward(query, reference, which)
+    }
+
+    /// Training pass: the fine stage starts from the noisy pose that the batch's query neighbourhoods were built with.
+    pub fn forward_train(&self, batch: &PairTensors) -> MatchingOutputs {
+        let query = self.encode(&batch.query);
+        let reference = self.encode(&batch.reference);
+        let coarse =
+            self.coarse((&batch.query, &query), (&batch.reference, &reference), Supervision::AllBlocks);
+        let fine = match &self.fine_point_matching {
+            None => Vec::new(),
+            Some(stage) => {
+                let query_position = stage.position(&batch.query_groups);
+                let reference_position = stage.position(&batch.reference_groups);
+                self.fine(
+                    (&batch.query, &query, query_position),
+                    (&batch.reference, &reference, reference_position),
+                    Supervision::AllBlocks,
+                )
+            }
+        };
+        MatchingOutputs { coarse, fine }
+    }
+}
+
+/// `[B, N, C] -> [B, M, C]`.
+fn sparse_features(cloud: &CloudTensors, features: &CloudFeatures) -> Tensor<3> {
+    let [batch, n, width] = features.dense.dims();
+    let rows = cloud.sparse_points.dims()[0];
+    features.dense.clone().reshape([batch * n, width]).select(0, cloud.sparse_points.clone()).reshape([
+        batch,
+        rows / batch,
+        width,
+    ])
+}

@@ -1,0 +1,265 @@
+//! Poses of prepared pairs: network forward passes on the device, pose solving on the host.
+
+use std::time::Instant;
+
+use burn::tensor::{Device, Tensor};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::{
+    config::{ModelConfig, OverlapMode},
+    data::{CloudInput, PreparedReference, metric_pose, positional_groups},
+    geometry::{Assignment, Pose, coarse_pose, fine_pose, match_assignment},
+    model::{BlockOutput, CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
+};
+
+/// Pose of one pair with what explains it.
+#[derive(Clone, Debug)]
+pub struct PairEstimate {
+    /// Reference camera to query camera, metres.
+    pub t_query_reference: Pose,
+    /// Confidence in [0, 1]: share of matched query points that lie on the reference, times the share matched
+    /// (section 6; without a fine stage computed on the coarse matches).
+    pub score: f64,
+    /// Coarse pose, metres.
+    pub t_query_reference_coarse: Pose,
+    /// Coarse hypothesis score, 1/radius.
+    pub coarse_score: f64,
+    /// Mean predicted overlap of the query's and the reference's points.
+    pub overlap: [f64; 2],
+    /// Share of query points matched to a reference point.
+    pub matched: f64,
+}
+
+/// Where the time of a batch went.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize)]
+pub struct StageTimes {
+    /// Colour features and structure embeddings, seconds.
+    pub encode: f64,
+    /// Coarse matching, seconds.
+    pub coarse: f64,
+    /// Hypotheses, seconds.
+    pub hypotheses: f64,
+    /// Positional encoding and fine matching, seconds.
+    pub fine: f64,
+    /// Weighted Procrustes and scoring, seconds.
+    pub solve: f64,
+}
+
+/// A reference (or a batch of them) on the device with everything that does not depend on the query.
+#[derive(Clone, Debug)]
+pub struct EncodedReferences {
+    cloud: CloudTensors,
+    features: CloudFeatures,
+    /// Positional encoding `[B, N, C]`, absent without a fine stage.
+    position: Option<Tensor<3>>,
+}
+
+/// Where the uniform numbers that sample the hypotheses come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Uniforms<'a> {
+    /// A stream per pair from a seed and the pair's position in the list.
+    Seed(u64),
+    /// Given numbers in [0, 1), one list per pair (parity checks).
+    Given(&'a [Vec<f32>]),
+}
+
+impl Uniforms<'_> {
+    fn stream(&self, index: usize) -> impl FnMut() -> f32 {
+        let mut rng = ChaCha8Rng::seed_from_u64(if let Self::Seed(seed) = self { *seed } else { 0 });
+        rng.set_stream(index as u64);
+        let mut given = match self {
+            Self::Seed(_) => None,
+            Self::Given(lists) => Some(lists[index].iter().copied()),
+        };
+        move || match &mut given {
+            None => rng.random(),
+            Some(list) => list.next().unwrap_or(0.0),
+        }
+    }
+}
+
+/// Runs the reference's share of the network.
+pub fn encode_references(
+    model: &UnoPose,
+    config: &ModelConfig,
+    references: &[&PreparedReference],
+    device: &Device,
+) -> EncodedReferences {
+    let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
+    let cloud = CloudTensors::from_clouds(&clouds, config, device);
+    let features = model.encode(&cloud);
+    let position = model.fine_point_matching.as_ref().map(|stage| {
+        let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
+        stage.position(&group_tensors(&groups, config, device))
+    });
+    EncodedReferences { cloud, features, position }
+}
+
+/// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
+pub fn estimate_pairs(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> Vec<PairEstimate> {
+    let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
+    let encoded = encode_references(model, config, &references, device);
+    estimate_encoded(model, config, pairs, &encoded, uniforms, device).0
+}
+
+/// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
+pub fn estimate_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    references: &EncodedReferences,
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> (Vec<PairEstimate>, StageTimes) {
+    let mut times = StageTimes::default();
+    let mut clock = Instant::now();
+    let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
+    if pairs.is_empty() {
+        return (Vec::new(), times);
+    }
+    let queries: Vec<&CloudInput> = pairs.iter().map(|p| p.0).collect();
+    let query = CloudTensors::from_clouds(&queries, config, device);
+    let query_features = model.encode(&query);
+    times.encode = lap();
+
+    let coarse = model.coarse(
+        (&query, &query_features),
+        (&references.cloud, &references.features),
+        Supervision::LastBlock,
+    );
+    let coarse = coarse.last().map(|block| host_assignments(block, config)).unwrap_or_default();
+    times.coarse = lap();
+
+    let initial: Vec<_> = pairs
+        .par_iter()
+        .zip(&coarse)
+        .enumerate()
+        .map(|(index, ((query, reference), matched))| {
+            let sparse = |cloud: &CloudInput| -> Vec<[f32; 3]> {
+                cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
+            };
+            coarse_pose(
+                &matched.assignment,
+                &sparse(query),
+                &sparse(&reference.cloud),
+                &config.hypotheses,
+                uniforms.stream(index),
+                config.quirks.degenerate_triplets,
+            )
+        })
+        .collect();
+    times.hypotheses = lap();
+
+    let fine = match (&model.fine_point_matching, &references.position) {
+        (Some(stage), Some(reference_position)) => {
+            let groups: Vec<_> = pairs
+                .par_iter()
+                .zip(&initial)
+                .map(|((query, _), coarse)| {
+                    let t_reference_query = coarse.pose.inverse();
+                    let moved: Vec<[f32; 3]> =
+                        query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
+                    positional_groups(&moved, config)
+                })
+                .collect();
+            let groups = group_tensors(&groups.iter().collect::<Vec<_>>(), config, device);
+            let blocks = model.fine(
+                (&query, &query_features, stage.position(&groups)),
+                (&references.cloud, &references.features, reference_position.clone()),
+                Supervision::LastBlock,
+            );
+            blocks.last().map(|block| host_assignments(block, config))
+        }
+        _ => None,
+    };
+    times.fine = lap();
+
+    let estimates = pairs
+        .par_iter()
+        .enumerate()
+        .map(|(index, (query, reference))| {
+            let metric =
+                |pose: &Pose| metric_pose(pose, query.center, reference.cloud.center, reference.radius);
+            let coarse_pose = &initial[index];
+            let matched = fine.as_ref().map_or(&coarse[index], |fine| &fine[index]);
+            let (pose, score) = match &fine {
+                Some(_) => {
+                    let solved = fine_pose(&matched.assignment, &query.points, &reference.cloud.points);
+                    (solved.pose, solved.score)
+                }
+                None => (coarse_pose.pose, coarse_confidence(query, reference, &coarse_pose.pose, matched)),
+            };
+            let foreground = matched.assignment.foreground_query();
+            PairEstimate {
+                t_query_reference: metric(&pose),
+                score,
+                t_query_reference_coarse: metric(&coarse_pose.pose),
+                coarse_score: coarse_pose.score,
+                overlap: matched.mean_overlap,
+                matched: foreground.iter().map(|&f| f as f64).sum::<f64>() / foreground.len().max(1) as f64,
+            }
+        })
+        .collect();
+    times.solve = lap();
+    (estimates, times)
+}
+
+/// An assignment on the host with the mean overlaps behind it.
+struct Matched {
+    assignment: Assignment,
+    mean_overlap: [f64; 2],
+}
+
+/// Similarities and overlaps of a block to one assignment per pair.
+fn host_assignments(block: &BlockOutput, config: &ModelConfig) -> Vec<Matched> {
+    let [batch, rows, columns] = block.similarity.dims();
+    let similarity = host(block.similarity.clone());
+    let [query, reference] = block.overlap_probability().map(host);
+    (0..batch)
+        .into_par_iter()
+        .map(|b| {
+            let (n, m) = (rows - 1, columns - 1);
+            let overlap = [&query[b * n..(b + 1) * n], &reference[b * m..(b + 1) * m]];
+            let mean_overlap =
+                overlap.map(|o| o.iter().map(|&x| x as f64).sum::<f64>() / o.len().max(1) as f64);
+            let ones = [vec![1.0; n], vec![1.0; m]];
+            // The paper's form has already put the overlap into the similarities.
+            let weights = match config.overlap {
+                OverlapMode::Release => overlap,
+                OverlapMode::Paper | OverlapMode::Off => [ones[0].as_slice(), ones[1].as_slice()],
+            };
+            let similarity = &similarity[b * rows * columns..(b + 1) * rows * columns];
+            Matched { assignment: match_assignment(similarity, weights[0], weights[1]), mean_overlap }
+        })
+        .collect()
+}
+
+/// The fine stage's confidence (section 6) on the coarse matches.
+fn coarse_confidence(
+    query: &CloudInput,
+    reference: &PreparedReference,
+    pose: &Pose,
+    matched: &Matched,
+) -> f64 {
+    let t_reference_query = pose.inverse();
+    let moved: Vec<[f32; 3]> =
+        query.sparse.iter().map(|&i| t_reference_query.transform_f32(&query.points[i as usize])).collect();
+    let distances = crate::geometry::nearest_distances(&moved, &reference.cloud.points);
+    let foreground = matched.assignment.foreground_query();
+    let total: f64 = foreground.iter().map(|&f| f as f64).sum();
+    let near: f64 =
+        foreground.iter().zip(&distances).filter(|(_, d)| **d < 0.15).map(|(&f, _)| f as f64).sum();
+    near / (total + 1e-8) * (total / foreground.len().max(1) as f64)
+}
+
+fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.try_into_vec_as::<f32>().unwrap_or_default()
+}

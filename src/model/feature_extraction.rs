@@ -1,0 +1,160 @@
+//! Colour features of the points (`feature_extraction.rgb_net` of the release): an image encoder whose maps are
+//! sampled bilinearly at the points' pixels only, which equals sampling the up-sampled map.
+
+use burn::{
+    module::{Module, Param},
+    nn::Linear,
+    tensor::{Int, Tensor, TensorData},
+};
+
+use super::{conv_encoder::ConvEncoder, init::Initializer, vit::VisionTransformer};
+use crate::config::{ColorConfig, ModelConfig};
+
+/// Image encoder and its read-out at the points.
+#[derive(Module, Debug)]
+pub struct FeatureExtraction {
+    pub rgb_net: RgbNet,
+}
+
+/// Exactly one of `vit` (with `output_upscaling`), `conv` (with `project`) and `constant` is present.
+#[derive(Module, Debug)]
+pub struct RgbNet {
+    pub vit: Option<VisionTransformer>,
+    pub output_upscaling: Option<Linear>,
+    pub conv: Option<ConvEncoder>,
+    pub project: Option<Linear>,
+    pub constant: Option<Param<Tensor<1>>>,
+    image_size: usize,
+    out_dim: usize,
+}
+
+/// Up-sampling factor of the transformer's patch grid.
+const UPSCALING: usize = 4;
+
+impl FeatureExtraction {
+    pub fn new(config: &ModelConfig, init: &mut Initializer) -> Self {
+        let out_dim = config.color.out_dim();
+        let mut net = RgbNet {
+            vit: None,
+            output_upscaling: None,
+            conv: None,
+            project: None,
+            constant: None,
+            image_size: config.image_size,
+            out_dim,
+        };
+        match &config.color {
+            ColorConfig::Vit(vit) => {
+                let network = VisionTransformer::new(vit, config.image_size, init);
+                net.vit = Some(if vit.freeze { network.no_grad() } else { network });
+                net.output_upscaling = Some(init.linear(4 * vit.embed_dim, UPSCALING * UPSCALING * out_dim));
+            }
+            ColorConfig::Conv { channels, .. } => {
+                net.conv = Some(ConvEncoder::new(*channels, init));
+                net.project = Some(init.linear(channels.iter().sum(), out_dim));
+            }
+            ColorConfig::None { .. } => net.constant = Some(init.normal([out_dim], 1.0)),
+        }
+        Self { rgb_net: net }
+    }
+
+    /// Images `[B, 3, S, S]` and, per item, `N` pixel indices into the `S x S` crop, to features `[B, N, out_dim]`.
+    pub fn forward(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
+        self.rgb_net.forward(images, choose)
+    }
+}
+
+impl RgbNet {
+    fn forward(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
+        let batch = images.dims()[0];
+        if let (Some(conv), Some(project)) = (&self.conv, &self.project) {
+            let sampled = conv.forward(images).map(|map| sample_map(map, choose, self.image_size));
+            return project.forward(Tensor::cat(sampled.to_vec(), 2));
+        }
+        if self.vit.is_some() {
+            return sample_map(self.upscaled_map(images), choose, self.image_size);
+        }
+        let constant = self.constant.as_ref().map(Param::val);
+        let constant = constant.unwrap_or_else(|| Tensor::zeros([self.out_dim], &images.device()));
+        constant.unsqueeze::<3>().expand([batch, choose.points, self.out_dim])
+    }
+
+    /// The transformer's map `[B, out_dim, 4 S / patch, 4 S / patch]`; empty encoders give an empty map.
+    pub fn upscaled_map(&self, images: Tensor<4>) -> Tensor<4> {
+        let (Some(vit), Some(upscaling)) = (&self.vit, &self.output_upscaling) else {
+            return Tensor::zeros([images.dims()[0], self.out_dim, 1, 1], &images.device());
+        };
+        let tokens = vit.forward(images).pyramid;
+        let [batch, patches, _] = tokens.dims();
+        let side = patches.isqrt();
+        upscaling
+            .forward(tokens) // [B, side * side, 4 * 4 * C]
+            .reshape([batch, side, side, UPSCALING, UPSCALING, self.out_dim])
+            .permute([0, 5, 1, 3, 2, 4]) // [B, C, side, 4, side, 4]
+            .reshape([batch, self.out_dim, side * UPSCALING, side * UPSCALING])
+    }
+}
+
+/// The pixels of `N` points per item inside the square crop.
+#[derive(Clone, Debug)]
+pub struct PixelChoice {
+    /// `row * S + col`, `[B * N]`.
+    index: Vec<u32>,
+    batch: usize,
+    points: usize,
+}
+
+impl PixelChoice {
+    /// One list of `N` indices per item.
+    pub fn new<'a>(items: impl Iterator<Item = &'a [u32]>) -> Self {
+        let (mut index, mut batch) = (Vec::new(), 0);
+        for item in items {
+            index.extend_from_slice(item);
+            batch += 1;
+        }
+        let points = index.len() / batch.max(1);
+        Self { index, batch, points }
+    }
+
+    /// Rows of the four neighbours in a flattened `[B * side * side]` map and their weights (half-pixel convention,
+    /// borders clamped), `[B * N * 4]` each.
+    fn taps(&self, image_size: usize, side: usize) -> (Vec<i32>, Vec<f32>) {
+        let scale = side as f32 / image_size as f32;
+        let axis = |pixel: u32| {
+            let x = ((pixel as f32 + 0.5) * scale - 0.5).max(0.0);
+            let low = (x as usize).min(side - 1);
+            (low, (low + 1).min(side - 1), x - low as f32)
+        };
+        let mut rows = Vec::with_capacity(self.index.len() * 4);
+        let mut weights = Vec::with_capacity(self.index.len() * 4);
+        for (k, &pixel) in self.index.iter().enumerate() {
+            let base = k / self.points * side * side;
+            let (row0, row1, fy) = axis(pixel / image_size as u32);
+            let (col0, col1, fx) = axis(pixel % image_size as u32);
+            for (row, wy) in [(row0, 1.0 - fy), (row1, fy)] {
+                for (col, wx) in [(col0, 1.0 - fx), (col1, fx)] {
+                    rows.push((base + row * side + col) as i32);
+                    weights.push(wy * wx);
+                }
+            }
+        }
+        (rows, weights)
+    }
+}
+
+/// Bilinear samples (align_corners = false) of a square map `[B, C, side, side]` at the chosen pixels: `[B, N, C]`.
+fn sample_map(map: Tensor<4>, choose: &PixelChoice, image_size: usize) -> Tensor<3> {
+    let [batch, channels, side, _] = map.dims();
+    let device = map.device().inner();
+    let (rows, weights) = choose.taps(image_size, side);
+    let count = rows.len();
+    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
+    let weights = Tensor::<3>::from_data(TensorData::new(weights, [count / 4, 4, 1]), &device);
+    map.permute([0, 2, 3, 1])
+        .reshape([batch * side * side, channels])
+        .select(0, rows)
+        .reshape([count / 4, 4, channels])
+        .mul(weights)
+        .sum_dim(1)
+        .reshape([choose.batch, choose.points, channels])
+}

@@ -1,0 +1,132 @@
+//! What the coarse and the fine stage share: projections, background token, overlap heads and similarity.
+
+use burn::{
+    module::Param,
+    nn::Linear,
+    tensor::{
+        Tensor,
+        activation::{sigmoid, softmax},
+    },
+};
+
+use super::init::Initializer;
+use crate::config::{MatchingConfig, OverlapMode};
+
+/// Result of one block of one stage.
+#[derive(Clone, Debug)]
+pub struct BlockOutput {
+    /// Cosine similarity / temperature, background at index 0: `[B, 1 + N, 1 + N]`.
+    pub similarity: Tensor<3>,
+    /// Raw overlap scores (logits) of the query and reference points, `[B, N]`; `None` without overlap heads.
+    pub overlap: Option<[Tensor<2>; 2]>,
+}
+
+impl BlockOutput {
+    /// Overlap probabilities of the query and reference points `[B, N]`; 1 without overlap heads.
+    pub fn overlap_probability(&self) -> [Tensor<2>; 2] {
+        match &self.overlap {
+            Some(logits) => logits.clone().map(sigmoid),
+            None => {
+                let [batch, n, m] = self.similarity.dims();
+                let device = self.similarity.device();
+                [Tensor::ones([batch, n - 1], &device), Tensor::ones([batch, m - 1], &device)]
+            }
+        }
+    }
+
+    /// Saliency logits of the query and reference points: the other cloud's raw overlap scores, averaged with the
+    /// softmax of the similarity without background, `[B, N]` each.
+    pub fn saliency(&self) -> Option<[Tensor<2>; 2]> {
+        let [query, reference] = self.overlap.clone()?;
+        let [batch, n, m] = self.similarity.dims();
+        let inner = self.similarity.clone().slice([0..batch, 1..n, 1..m]);
+        let of_query = softmax(inner.clone(), 2).matmul(reference.unsqueeze_dim(2)).squeeze_dim::<2>(2);
+        let of_reference =
+            softmax(inner.swap_dims(1, 2), 2).matmul(query.unsqueeze_dim(2)).squeeze_dim::<2>(2);
+        Some([of_query, of_reference])
+    }
+}
+
+/// Parameters that both stages have; the stages hold them under the release's flat names and lend them here.
+pub struct MatchingHead<'a> {
+    pub in_proj: &'a Linear,
+    pub out_proj: &'a Linear,
+    /// `[1, 1, C]`.
+    pub bg_token: &'a Param<Tensor<3>>,
+    /// One `Linear(C, 1)` per block.
+    pub score_heads: Option<&'a [Linear]>,
+    pub temperature: f64,
+    /// Scale the features by the overlap before the similarity (paper) instead of the assignment (release).
+    pub overlap_features: bool,
+}
+
+/// Freshly initialised parameters of a head.
+pub struct HeadParameters {
+    pub in_proj: Linear,
+    pub out_proj: Linear,
+    pub bg_token: Param<Tensor<3>>,
+    pub score_heads: Option<Vec<Linear>>,
+}
+
+impl HeadParameters {
+    pub fn new(
+        input_dim: usize,
+        config: &MatchingConfig,
+        overlap: OverlapMode,
+        init: &mut Initializer,
+    ) -> Self {
+        Self {
+            in_proj: init.linear(input_dim, config.hidden_dim),
+            out_proj: init.linear(config.hidden_dim, config.out_dim),
+            bg_token: init.normal([1, 1, config.hidden_dim], 0.02),
+            score_heads: (overlap != OverlapMode::Off)
+                .then(|| (0..config.blocks).map(|_| init.linear(config.hidden_dim, 1)).collect()),
+        }
+    }
+}
+
+impl MatchingHead<'_> {
+    /// Point features `[B, N, input]` to tokens with the background in front `[B, 1 + N, C]`; `extra` is added to the
+    /// projected points.
+    pub fn tokens(&self, features: Tensor<3>, extra: Option<Tensor<3>>) -> Tensor<3> {
+        let x = self.in_proj.forward(features);
+        let x = match extra {
+            Some(extra) => x + extra,
+            None => x,
+        };
+        let [batch, _, width] = x.dims();
+        Tensor::cat(vec![self.bg_token.val().expand([batch, 1, width]), x], 1)
+    }
+
+    /// Similarity and overlap after block `index` from the tokens `[B, 1 + N, C]` of both clouds.
+    pub fn compare(&self, index: usize, query: Tensor<3>, reference: Tensor<3>) -> BlockOutput {
+        let logits = self.score_heads.map(|heads| {
+            [&query, &reference].map(|tokens| {
+                let [batch, n, width] = tokens.dims();
+                let points = tokens.clone().slice([0..batch, 1..n, 0..width]);
+                heads[index].forward(points).reshape([batch, n - 1])
+            })
+        });
+        let mut features = [query, reference].map(|tokens| normalize(self.out_proj.forward(tokens)));
+        if let (true, Some(logits)) = (self.overlap_features, &logits) {
+            // Paper, overlap-aware correlation: features scaled by the confidences before the softmax.
+            features = std::array::from_fn(|k| {
+                let [batch, n, _] = features[k].dims();
+                let confidence = sigmoid(logits[k].clone()).reshape([batch, n - 1, 1]);
+                let background = Tensor::ones([batch, 1, 1], &confidence.device());
+                features[k].clone() * Tensor::cat(vec![background, confidence], 1)
+            });
+        }
+        let [query, reference] = features;
+        BlockOutput {
+            similarity: query.matmul(reference.swap_dims(1, 2)) / self.temperature,
+            overlap: logits,
+        }
+    }
+}
+
+/// Unit length over the channels, with the norm clamped at 1e-12.
+fn normalize(x: Tensor<3>) -> Tensor<3> {
+    let norm = (x.clone() * x.clone()).sum_dim(2).sqrt().clamp_min(1e-12);
+    x / norm
+}

@@ -1,0 +1,76 @@
+//! One fine block: geometric transformer on the sparse tokens, linear attention back to the dense ones.
+
+use burn::{
+    module::Module,
+    tensor::{Int, Tensor},
+};
+
+use super::{init::Initializer, linear_attention::LinearTransformerLayer, transformer::GeometricTransformer};
+use crate::config::FineConfig;
+
+/// `sparse_layer` then `dense_layer`.
+#[derive(Module, Debug)]
+pub struct SparseToDenseTransformer {
+    pub sparse_layer: GeometricTransformer,
+    pub dense_layer: LinearTransformerLayer,
+}
+
+/// Dense tokens of one cloud with what the block needs to thin them out.
+pub struct DenseTokens {
+    /// `[B, 1 + N, C]`, background first.
+    pub features: Tensor<3>,
+    /// Rows of the sparse tokens in the flattened `[B * (1 + N)]` token list, background included: `[B * (1 + M)]`.
+    pub sparse_rows: Tensor<1, Int>,
+    /// Structure embedding of the sparse points `[B, 1 + M, 1 + M, C]`.
+    pub embedding: Tensor<4>,
+}
+
+impl DenseTokens {
+    /// `[B, 1 + M, C]`.
+    fn sparse(&self) -> Tensor<3> {
+        let [batch, tokens, width] = self.features.dims();
+        let rows = self.sparse_rows.dims()[0];
+        self.features.clone().reshape([batch * tokens, width]).select(0, self.sparse_rows.clone()).reshape([
+            batch,
+            rows / batch,
+            width,
+        ])
+    }
+}
+
+impl SparseToDenseTransformer {
+    pub fn new(config: &FineConfig, init: &mut Initializer) -> Self {
+        let matching = &config.matching;
+        Self {
+            sparse_layer: GeometricTransformer::new(matching.hidden_dim, matching.heads, init),
+            dense_layer: LinearTransformerLayer::new(
+                matching.hidden_dim,
+                matching.heads,
+                config.focusing_factor,
+                init,
+            ),
+        }
+    }
+
+    /// Updates the features of both clouds.
+    pub fn forward(&self, query: DenseTokens, reference: DenseTokens) -> (DenseTokens, DenseTokens) {
+        let (sparse_query, sparse_reference) = self.sparse_layer.forward(
+            query.sparse(),
+            query.embedding.clone(),
+            reference.sparse(),
+            reference.embedding.clone(),
+        );
+        (self.spread(query, sparse_query), self.spread(reference, sparse_reference))
+    }
+
+    /// The dense points attend to the sparse ones, background excluded on both sides; the sparse background token
+    /// replaces the dense one.
+    fn spread(&self, dense: DenseTokens, sparse: Tensor<3>) -> DenseTokens {
+        let [batch, tokens, _] = dense.features.dims();
+        let sparse_tokens = sparse.dims()[1];
+        let background = sparse.clone().slice([0..batch, 0..1]);
+        let memory = sparse.slice([0..batch, 1..sparse_tokens]);
+        let points = self.dense_layer.forward(dense.features.slice([0..batch, 1..tokens]), memory);
+        DenseTokens { features: Tensor::cat(vec![background, points], 1), ..dense }
+    }
+}

@@ -1,0 +1,101 @@
+//! Post-norm transformer layers and the `["self", "cross"]` block of GeoTransformer. Field names are the release's.
+
+use burn::{
+    module::Module,
+    nn::{LayerNorm, Linear},
+    tensor::{Tensor, activation::relu},
+};
+
+use super::{attention::MultiHeadAttention, init::Initializer};
+
+const LAYER_NORM_EPSILON: f64 = 1e-5;
+
+/// Attention, output projection, residual, norm.
+#[derive(Module, Debug)]
+pub struct AttentionLayer {
+    pub attention: MultiHeadAttention,
+    pub linear: Linear,
+    pub norm: LayerNorm,
+}
+
+/// Feed-forward part: `norm(x + squeeze(relu(expand(x))))`, twice the width inside.
+#[derive(Module, Debug)]
+pub struct AttentionOutput {
+    pub expand: Linear,
+    pub squeeze: Linear,
+    pub norm: LayerNorm,
+}
+
+/// Attention layer and feed-forward part.
+#[derive(Module, Debug)]
+pub struct TransformerLayer {
+    pub attention: AttentionLayer,
+    pub output: AttentionOutput,
+}
+
+/// Self attention with structure embedding on each cloud, then sequential cross attention.
+#[derive(Module, Debug)]
+pub struct GeometricTransformer {
+    /// `[self, cross]`.
+    pub layers: Vec<TransformerLayer>,
+}
+
+impl AttentionOutput {
+    pub fn new(width: usize, init: &mut Initializer) -> Self {
+        Self {
+            expand: init.linear(width, 2 * width),
+            squeeze: init.linear(2 * width, width),
+            norm: init.layer_norm(width, LAYER_NORM_EPSILON),
+        }
+    }
+
+    /// `[B, N, C]` in and out.
+    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let hidden = self.squeeze.forward(relu(self.expand.forward(x.clone())));
+        self.norm.forward(x + hidden)
+    }
+}
+
+impl TransformerLayer {
+    pub fn new(width: usize, heads: usize, relative: bool, init: &mut Initializer) -> Self {
+        Self {
+            attention: AttentionLayer {
+                attention: MultiHeadAttention::new(width, heads, relative, init),
+                linear: init.linear(width, width),
+                norm: init.layer_norm(width, LAYER_NORM_EPSILON),
+            },
+            output: AttentionOutput::new(width, init),
+        }
+    }
+
+    /// `x` `[B, N, C]` attends to `memory` `[B, M, C]`.
+    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, embedding: Option<Tensor<4>>) -> Tensor<3> {
+        let attended = self.attention.attention.forward(x.clone(), memory, embedding);
+        let x = self.attention.norm.forward(self.attention.linear.forward(attended) + x);
+        self.output.forward(x)
+    }
+}
+
+impl GeometricTransformer {
+    pub fn new(width: usize, heads: usize, init: &mut Initializer) -> Self {
+        let layers = [true, false].map(|relative| TransformerLayer::new(width, heads, relative, init));
+        Self { layers: layers.into() }
+    }
+
+    /// Query and reference features `[B, M, C]` with their embeddings `[B, M, M, C]`; the reference attends to the
+    /// already updated query.
+    pub fn forward(
+        &self,
+        query: Tensor<3>,
+        query_embedding: Tensor<4>,
+        reference: Tensor<3>,
+        reference_embedding: Tensor<4>,
+    ) -> (Tensor<3>, Tensor<3>) {
+        let [own, cross] = [&self.layers[0], &self.layers[1]];
+        let query = own.forward(query.clone(), query, Some(query_embedding));
+        let reference = own.forward(reference.clone(), reference, Some(reference_embedding));
+        let query = cross.forward(query, reference.clone(), None);
+        let reference = cross.forward(reference, query.clone(), None);
+        (query, reference)
+    }
+}
