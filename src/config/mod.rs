@@ -4,6 +4,7 @@
 //! checks every range; [`Config::to_toml`] writes the complete, resolved tree. Unknown keys are errors that name the
 //! file, the line and the nearest valid key.
 
+mod data;
 mod error;
 mod load;
 mod loss;
@@ -12,6 +13,7 @@ mod overrides;
 mod train;
 mod validate;
 
+pub use data::{AugmentationConfig, DataConfig, PoseNoiseConfig};
 pub use error::ConfigError;
 pub use load::EMBEDDED_NAMES;
 pub use loss::LossConfig;

@@ -11,6 +11,8 @@ pub struct ReferenceTensors {
     path: PathBuf,
 }
 
+// Each test crate uses its share of these.
+#[allow(dead_code)]
 impl ReferenceTensors {
     /// The file `name.safetensors`; `None`, with a printed reason, when it is in neither folder.
     pub fn open(name: &str) -> Option<Self> {

@@ -1,0 +1,97 @@
+//! Which pairs are drawn for training and how they are augmented.
+
+use serde::{Deserialize, Serialize};
+
+/// Pairs of views. Defaults are the release's (network page, section 8).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DataConfig {
+    /// Smallest visible share of a query instance.
+    pub min_visible_fraction: f32,
+    /// Fewest visible pixels of a query instance. The default suits 640 x 480; a quarter of it suits 320 x 240.
+    pub min_visible_pixels: u32,
+    /// Smallest visible share of a reference instance (at least 0.8, the share dataset indices list).
+    pub min_reference_visible_fraction: f32,
+    /// Largest rotation between the two views, degrees, symmetries taken off. 180: any.
+    pub max_rotation_deg: f64,
+    /// Smallest share of query points with a reference point within `overlap_distance`. 0: any.
+    pub min_overlap: f64,
+    /// Distance that counts as overlap for `min_overlap`, radii.
+    pub overlap_distance: f32,
+    /// Memory for decoded images, MiB. 0: decode for every draw.
+    pub cache_mib: usize,
+    pub augmentation: AugmentationConfig,
+    pub pose_noise: PoseNoiseConfig,
+}
+
+/// Random changes of training pairs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AugmentationConfig {
+    /// Probability of the colour changes, per crop.
+    pub color_probability: f64,
+    /// Probability that the query's mask is dilated.
+    pub dilation_probability: f64,
+    /// Dilations with a 3 x 3 cross.
+    pub dilation_iterations: usize,
+    /// Rotate the reference cloud randomly.
+    pub rotate_reference: bool,
+    /// Largest shift of the query cloud per axis, metres; part of the label.
+    pub query_shift: f64,
+    /// Standard deviation of the noise on every query point and axis, metres.
+    pub query_noise: f64,
+}
+
+/// Noise that turns the true pose into the initial pose of the fine stage in training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PoseNoiseConfig {
+    /// One of these standard deviations per axis is drawn for every 8 samples, degrees.
+    pub rotation_std_deg: Vec<f64>,
+    /// Rotations are clipped at this angle per axis, degrees.
+    pub max_rotation_deg: f64,
+    /// Standard deviation of the translation per axis, radii.
+    pub translation_std: f64,
+    /// Translations are clipped at this distance per axis, radii.
+    pub max_translation: f64,
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        Self {
+            min_visible_fraction: 0.1,
+            min_visible_pixels: 512,
+            min_reference_visible_fraction: 0.8,
+            max_rotation_deg: 180.0,
+            min_overlap: 0.0,
+            overlap_distance: 0.15,
+            cache_mib: 1024,
+            augmentation: AugmentationConfig::default(),
+            pose_noise: PoseNoiseConfig::default(),
+        }
+    }
+}
+
+impl Default for AugmentationConfig {
+    fn default() -> Self {
+        Self {
+            color_probability: 0.8,
+            dilation_probability: 0.5,
+            dilation_iterations: 4,
+            rotate_reference: true,
+            query_shift: 0.01,
+            query_noise: 0.001,
+        }
+    }
+}
+
+impl Default for PoseNoiseConfig {
+    fn default() -> Self {
+        Self {
+            rotation_std_deg: vec![15.0, 10.0, 5.0, 1.25, 1.0],
+            max_rotation_deg: 45.0,
+            translation_std: 0.2,
+            max_translation: 0.8,
+        }
+    }
+}
