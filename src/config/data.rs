@@ -1,11 +1,19 @@
 //! Which pairs are drawn for training and how they are augmented.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 /// Pairs of views. Defaults are the release's (network page, section 8).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DataConfig {
+    /// Folder of MegaPose-style shards to train on. Unset: synthetic data, generated when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub train: Option<PathBuf>,
+    /// Folder of shards to validate on. Unset: synthetic data, generated when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub validation: Option<PathBuf>,
     /// Smallest visible share of a query instance.
     pub min_visible_fraction: f32,
     /// Fewest visible pixels of a query instance. The default suits 640 x 480; a quarter of it suits 320 x 240.
@@ -59,6 +67,8 @@ pub struct PoseNoiseConfig {
 impl Default for DataConfig {
     fn default() -> Self {
         Self {
+            train: None,
+            validation: None,
             min_visible_fraction: 0.1,
             min_visible_pixels: 512,
             min_reference_visible_fraction: 0.8,

@@ -33,6 +33,7 @@ pub struct Config {
     pub name: String,
     /// Seed of every random stream: data, initial weights, sampling.
     pub seed: u64,
+    pub data: DataConfig,
     pub model: ModelConfig,
     pub loss: LossConfig,
     pub train: TrainConfig,
@@ -43,6 +44,7 @@ impl Default for Config {
         Self {
             name: "unopose".into(),
             seed: 0,
+            data: DataConfig::default(),
             model: ModelConfig::default(),
             loss: LossConfig::default(),
             train: TrainConfig::default(),

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use super::{ColorConfig, Config, ConfigError, LossConfig, MatchingConfig, ModelConfig, TrainConfig};
+use super::{ColorConfig, Config, ConfigError, DataConfig, LossConfig, MatchingConfig, ModelConfig, TrainConfig};
 
 /// Checks every range of the tree; the error names the first field that is outside.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
@@ -11,6 +11,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     // TOML integers are signed.
     require("seed", config.seed, i64::try_from(config.seed).is_ok(), "at most 9223372036854775807")?;
     model(&config.model)?;
+    data(&config.data)?;
     loss(&config.loss)?;
     train(&config.train)
 }
@@ -118,6 +119,31 @@ fn matching(prefix: &str, m: &MatchingConfig, embedding_dim: usize) -> Result<()
         &format!("a divisor of {prefix}.hidden_dim = {}", m.hidden_dim),
     )?;
     positive(&format!("{prefix}.temperature"), m.temperature.into())
+}
+
+fn data(d: &DataConfig) -> Result<(), ConfigError> {
+    let share = |field: &str, value: f64| {
+        require(field, value, (0.0..=1.0).contains(&value), "in [0, 1]")
+    };
+    share("data.min_visible_fraction", d.min_visible_fraction.into())?;
+    share("data.min_overlap", d.min_overlap)?;
+    share("data.augmentation.color_probability", d.augmentation.color_probability)?;
+    share("data.augmentation.dilation_probability", d.augmentation.dilation_probability)?;
+    let listed = (0.8..=1.0).contains(&d.min_reference_visible_fraction);
+    require("data.min_reference_visible_fraction", d.min_reference_visible_fraction, listed, "in [0.8, 1]")?;
+    let angle = d.max_rotation_deg > 0.0 && d.max_rotation_deg <= 180.0;
+    require("data.max_rotation_deg", d.max_rotation_deg, angle, "above 0 and at most 180")?;
+    positive("data.overlap_distance", d.overlap_distance.into())?;
+    not_negative("data.augmentation.query_shift", d.augmentation.query_shift)?;
+    not_negative("data.augmentation.query_noise", d.augmentation.query_noise)?;
+    let noise = &d.pose_noise;
+    at_least("data.pose_noise.rotation_std_deg (entries)", noise.rotation_std_deg.len(), 1)?;
+    noise.rotation_std_deg.iter().enumerate().try_for_each(|(i, &std)| {
+        not_negative(&format!("data.pose_noise.rotation_std_deg[{i}]"), std)
+    })?;
+    not_negative("data.pose_noise.max_rotation_deg", noise.max_rotation_deg)?;
+    not_negative("data.pose_noise.translation_std", noise.translation_std)?;
+    not_negative("data.pose_noise.max_translation", noise.max_translation)
 }
 
 fn loss(l: &LossConfig) -> Result<(), ConfigError> {
