@@ -89,6 +89,17 @@ pub fn load_into<M: Module>(
     Ok((fill(model, file, path, Some(config))?, meta))
 }
 
+/// The metadata of a checkpoint that this program wrote.
+pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
+    meta_of(&TensorFile::read(path)?, path)
+}
+
+/// The configuration inside a checkpoint.
+pub fn read_config(path: &Path) -> Result<Config, CheckpointError> {
+    config_of(&TensorFile::read(path)?, path)?
+        .ok_or_else(|| metadata_error(path, "config", "absent", "a configuration"))
+}
+
 fn fill<M: Module>(
     mut model: M,
     file: TensorFile,
@@ -173,7 +184,7 @@ fn metadata_error(path: &Path, key: &'static str, value: &str, expected: &str) -
 }
 
 /// Fields in which two model configurations differ: path, theirs, ours.
-fn differences(theirs: &ModelConfig, ours: &ModelConfig) -> Vec<(String, String, String)> {
+pub fn differences(theirs: &ModelConfig, ours: &ModelConfig) -> Vec<(String, String, String)> {
     let mut found = Vec::new();
     if let (Ok(theirs), Ok(ours)) = (toml::Value::try_from(theirs), toml::Value::try_from(ours)) {
         compare("model", Some(&theirs), Some(&ours), &mut found);

@@ -1,4 +1,3 @@
-
 use super::*;
 use burn::{
     nn::{BatchNorm, BatchNormConfig, Linear, LinearConfig},

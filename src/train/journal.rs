@@ -20,7 +20,7 @@ pub enum Event {
 }
 
 /// One optimizer step.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepRecord {
     /// Steps taken, this one included.
     pub step: u64,
@@ -65,6 +65,27 @@ impl Event {
     }
 }
 
+impl ValidationRecord {
+    /// What the best weights are chosen by: average recall, or the two shares; the loss decides between equals.
+    pub fn score(&self) -> f64 {
+        let poses = self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
+        poses - 1e-4 * self.loss.clamp(0.0, 100.0)
+    }
+
+    /// One line for people.
+    pub fn describe(&self) -> String {
+        let recall = self.average_recall.map(|ar| format!(", AR {ar:.3}")).unwrap_or_default();
+        format!(
+            "loss {:.3}, median {:.1} deg and {:.1} cm, {:.0} % within 5 deg/5 cm, {:.0} % within 15 deg{recall}",
+            self.loss,
+            self.median_rotation_deg,
+            100.0 * self.median_translation_m,
+            100.0 * self.within_5deg_5cm,
+            100.0 * self.within_15deg,
+        )
+    }
+}
+
 /// Appends events to the file.
 pub struct Journal {
     path: PathBuf,
@@ -76,15 +97,8 @@ impl Journal {
     /// the events that remain.
     pub fn open(path: &Path, step: u64) -> Result<(Self, Vec<Event>), TrainError> {
         let io = |source| TrainError::Io { path: path.to_owned(), source };
-        let mut events = Vec::new();
-        if path.exists() {
-            let text = std::fs::read_to_string(path).map_err(io)?;
-            events = text
-                .lines()
-                .filter_map(|line| serde_json::from_str::<Event>(line).ok())
-                .filter(|event| event.step() <= step)
-                .collect();
-        }
+        let mut events = Self::read(path)?;
+        events.retain(|event| event.step() <= step);
         write_atomic(path, |writer| {
             events.iter().try_for_each(|event| {
                 serde_json::to_writer(&mut *writer, event)?;
@@ -93,6 +107,16 @@ impl Journal {
         })?;
         let file = OpenOptions::new().append(true).open(path).map_err(io)?;
         Ok((Self { path: path.to_owned(), writer: BufWriter::new(file) }, events))
+    }
+
+    /// All complete lines; none when there is no file.
+    pub fn read(path: &Path) -> Result<Vec<Event>, TrainError> {
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
+        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
     pub fn append(&mut self, event: &Event) -> Result<(), TrainError> {

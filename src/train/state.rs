@@ -97,18 +97,8 @@ pub fn restore<M: Module>(
         return Ok(None);
     }
     let (model, meta) = checkpoint::load_into(&last, optimization.model().clone(), config)?;
-    let entry = |key: &'static str| {
-        let absent = || CheckpointError::Metadata {
-            path: last.clone(),
-            key,
-            value: "absent".into(),
-            expected: "a checkpoint written by a training run (use --init for other weights)".into(),
-        };
-        meta.extra.get(key).ok_or_else(absent)
-    };
-    let progress = serde_json::from_str(entry(PROGRESS_KEY)?)
-        .map_err(|e| TrainError::State { path: last.clone(), message: format!("{PROGRESS_KEY}: {e}") })?;
-    let folder = run.join(entry(STATE_KEY)?);
+    let progress = progress_of(&meta, &last)?;
+    let folder = run.join(entry(&meta, &last, STATE_KEY)?);
     let adam = read_moments(&folder.join("optimizer.bpk"), optimization.adam().clone())?;
     let average = match optimization.average() {
         Some(average) => {
@@ -121,6 +111,42 @@ pub fn restore<M: Module>(
     };
     optimization.restore(model, average, adam, meta.step);
     Ok(Some(progress))
+}
+
+/// Steps and progress of the run's last checkpoint, without its tensors.
+pub fn read_progress(run: &Path) -> Result<Option<(u64, Progress)>, TrainError> {
+    let last = last_path(run);
+    if !last.exists() {
+        return Ok(None);
+    }
+    let meta = checkpoint::read_meta(&last)?;
+    Ok(Some((meta.step, progress_of(&meta, &last)?)))
+}
+
+/// Deletes what a run has written into its folder.
+pub fn clear(run: &Path) -> std::io::Result<()> {
+    for name in ["last.safetensors", "best.safetensors", "metrics.jsonl", "curves.svg", "poses.png"] {
+        match fs::remove_file(run.join(name)) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
+            _ => {}
+        }
+    }
+    remove_states_except(run, "")
+}
+
+fn progress_of(meta: &Meta, last: &Path) -> Result<Progress, TrainError> {
+    serde_json::from_str(entry(meta, last, PROGRESS_KEY)?)
+        .map_err(|e| TrainError::State { path: last.to_owned(), message: format!("{PROGRESS_KEY}: {e}") })
+}
+
+fn entry<'a>(meta: &'a Meta, last: &Path, key: &'static str) -> Result<&'a str, TrainError> {
+    let absent = || CheckpointError::Metadata {
+        path: last.to_owned(),
+        key,
+        value: "absent".into(),
+        expected: "a checkpoint written by a training run (use --init for other weights)".into(),
+    };
+    Ok(meta.extra.get(key).ok_or_else(absent)?)
 }
 
 fn read_moments(path: &Path, adam: ModuleOptimizer) -> Result<ModuleOptimizer, TrainError> {

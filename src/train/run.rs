@@ -1,0 +1,347 @@
+//! The training loop.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use burn::tensor::{Device, Tensor};
+
+use super::{
+    TrainError,
+    datasets::Datasets,
+    failure, figures,
+    journal::{Event, Journal, StepRecord, ValidationRecord},
+    optimization::Optimization,
+    progress,
+    schedule::{Schedule, TimeBudget},
+    state::{self, Progress},
+    validation::Validation,
+};
+use crate::{
+    checkpoint::{self, Meta},
+    config::Config,
+    data::{BatchStream, PairSampler, TrainSample},
+    formats::write_atomic,
+    loss::{Losses, pair_losses},
+    model::{PairTensors, UnoPose},
+};
+
+/// What a call adds to the configuration.
+pub struct TrainOptions {
+    /// Run folder.
+    pub out: PathBuf,
+    /// Where synthetic data are kept: `<data_root>/<name>`.
+    pub data_root: PathBuf,
+    /// Start from these weights when the folder has no checkpoint.
+    pub init: Option<PathBuf>,
+    /// Delete an earlier run in the folder instead of going on with it.
+    pub fresh: bool,
+    /// End after this time, data generation, validation and report included.
+    pub time_limit: Option<Duration>,
+    /// Without autodiff.
+    pub device: Device,
+    /// Save and leave when the run has taken this many steps, as after Ctrl-C.
+    pub stop_at: Option<u64>,
+    /// Set from outside (Ctrl-C) to save and leave.
+    pub stop: Arc<AtomicBool>,
+}
+
+/// Why a call ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// An earlier call took the last step.
+    AlreadyFinished,
+    Finished,
+    TimeUp,
+    Interrupted,
+}
+
+/// What a call did.
+#[derive(Clone, Debug)]
+pub struct TrainOutcome {
+    pub ending: Ending,
+    /// Steps of the run so far.
+    pub step: u64,
+    /// All validations of the run, in order.
+    pub validations: Vec<ValidationRecord>,
+}
+
+/// Trains, or goes on training, in `options.out`.
+pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
+    let begin = Instant::now();
+    prepare_folder(config, options)?;
+    if let Some(step) = finished_step(config, &options.out)? {
+        let events = Journal::read(&options.out.join("metrics.jsonl"))?;
+        return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
+    }
+    let datasets = Datasets::open_or_generate(config, &options.data_root, &options.stop)?;
+    if options.stop.load(Ordering::Relaxed) {
+        return Ok(TrainOutcome { ending: Ending::Interrupted, step: 0, validations: Vec::new() });
+    }
+    Run::begin(config, options, datasets, begin)?.go()
+}
+
+struct Run<'a> {
+    config: &'a Config,
+    options: &'a TrainOptions,
+    datasets: Datasets,
+    validation: Validation,
+    optimization: Optimization<UnoPose>,
+    schedule: Schedule,
+    journal: Journal,
+    progress: Progress,
+    /// Beginning of the call.
+    begin: Instant,
+    /// Training time of earlier calls, seconds.
+    earlier_s: f64,
+    last_checkpoint: Instant,
+    last_validation: Instant,
+    validation_time: Duration,
+    validated_step: Option<u64>,
+}
+
+impl<'a> Run<'a> {
+    fn begin(
+        config: &'a Config,
+        options: &'a TrainOptions,
+        datasets: Datasets,
+        begin: Instant,
+    ) -> Result<Self, TrainError> {
+        let device = options.device.clone().autodiff();
+        let model = UnoPose::new(&config.model, config.seed, &device);
+        let mut optimization = Optimization::new(model, &config.train);
+        let progress = match state::restore(&options.out, &mut optimization, &config.model)? {
+            Some(progress) => progress,
+            None => {
+                if let Some(path) = &options.init {
+                    let model = optimization.model().clone();
+                    let (model, _) = checkpoint::load_into(path, model, &config.model)?;
+                    optimization = Optimization::new(model, &config.train);
+                }
+                Progress::default()
+            }
+        };
+        let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), optimization.step())?;
+        let validated_step = validations(&events).last().map(|v| v.step);
+        let sampler = datasets.validation_sampler(config)?;
+        let pairs = config.train.validation_pairs;
+        Ok(Self {
+            config,
+            options,
+            validation: Validation::new(Arc::new(sampler), &datasets.validation, pairs)?,
+            datasets,
+            optimization,
+            schedule: Schedule::new(&config.train),
+            journal,
+            earlier_s: progress.elapsed_s,
+            progress,
+            begin,
+            last_checkpoint: Instant::now(),
+            last_validation: Instant::now(),
+            validation_time: Duration::ZERO,
+            validated_step,
+        })
+    }
+
+    fn go(mut self) -> Result<TrainOutcome, TrainError> {
+        let train = &self.config.train;
+        let first_step = self.optimization.step();
+        if first_step == 0 && self.validated_step.is_none() {
+            self.validate()?;
+        }
+        let reserve = self.validation_time.mul_f64(1.3) + Duration::from_secs(3);
+        let training_begin = Instant::now();
+        let budget = self.options.time_limit.map(|limit| TimeBudget {
+            training: limit.saturating_sub(self.begin.elapsed()).saturating_sub(reserve),
+            first_step,
+        });
+        let sampler: PairSampler = self.datasets.training_sampler(self.config)?;
+        let mut batches = BatchStream::new(
+            Arc::new(sampler),
+            self.progress.next_pair,
+            train.batch_size,
+            train.workers,
+            train.prefetch,
+        );
+        let mut bar = progress::Progress::new("training", first_step, train.steps)
+            .limited(budget.as_ref().map(|b| b.training));
+        let mut ending = Ending::Finished;
+        while self.optimization.step() < train.steps {
+            let enough = self.options.stop_at.is_some_and(|stop| self.optimization.step() >= stop);
+            if enough || self.options.stop.load(Ordering::Relaxed) {
+                ending = Ending::Interrupted;
+                break;
+            }
+            let elapsed = training_begin.elapsed();
+            if budget.as_ref().is_some_and(|b| b.used(elapsed) >= 1.0) {
+                ending = Ending::TimeUp;
+                break;
+            }
+            let step = self.optimization.step();
+            let position = budget.as_ref().map_or(step as f64, |b| b.position(step, train.steps, elapsed));
+            let record = self.step(&mut batches, self.schedule.learning_rate(position))?;
+            bar.set(record.step, &format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate));
+            self.journal.append(&Event::Step(record))?;
+            self.keep_up(&bar)?;
+        }
+        bar.finish();
+        self.end(ending)
+    }
+
+    /// Validation and checkpoints that have become due.
+    fn keep_up(&mut self, bar: &progress::Progress) -> Result<(), TrainError> {
+        let train = &self.config.train;
+        let step = self.optimization.step();
+        let minutes = self.last_validation.elapsed().as_secs_f64() / 60.0;
+        let due = step.is_multiple_of(train.validate_every)
+            || (train.validate_minutes > 0.0 && minutes >= train.validate_minutes);
+        if due && step < train.steps {
+            let record = self.validate()?;
+            bar.line(&format!("step {step}: {}", record.describe()));
+        }
+        if due || self.last_checkpoint.elapsed().as_secs_f64() >= train.checkpoint_seconds {
+            self.save()?;
+        }
+        Ok(())
+    }
+
+    fn end(mut self, ending: Ending) -> Result<TrainOutcome, TrainError> {
+        self.progress.finished = ending == Ending::Finished;
+        let step = self.optimization.step();
+        if ending != Ending::Interrupted && self.validated_step != Some(step) {
+            self.validate()?;
+        }
+        self.save()?;
+        let out = &self.options.out;
+        let events = Journal::read(&out.join("metrics.jsonl"))?;
+        figures::write_training_curves(&out.join("curves.svg"), &events)?;
+        if ending != Ending::Interrupted {
+            figures::write_pose_sheet(
+                &out.join("poses.png"),
+                &self.optimization.deployed(),
+                self.config,
+                &self.validation,
+                &self.datasets.validation,
+                &self.options.device,
+            )?;
+        }
+        Ok(TrainOutcome { ending, step, validations: validations(&events) })
+    }
+
+    fn step(&mut self, batches: &mut BatchStream, learning_rate: f64) -> Result<StepRecord, TrainError> {
+        let train = &self.config.train;
+        let device = self.options.device.clone().autodiff();
+        let mut record = StepRecord { learning_rate, ..StepRecord::default() };
+        for _ in 0..train.accumulation {
+            let samples: Vec<TrainSample> =
+                batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
+            let batch = PairTensors::from_samples(&samples, &self.config.model, &device);
+            let outputs = self.optimization.model().forward_train(&batch);
+            let losses = pair_losses(&self.config.loss, &outputs, &batch);
+            let values = self.read(&losses, &samples)?;
+            for (name, values) in &values {
+                let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
+                *record.terms.entry(name.clone()).or_insert(0.0) += mean / train.accumulation as f64;
+            }
+            self.optimization.accumulate(losses.total);
+            self.progress.next_pair += samples.len() as u64;
+        }
+        record.loss = record.terms.remove(TOTAL).unwrap_or(f64::NAN);
+        record.gradient_norm = self.optimization.apply(learning_rate);
+        record.step = self.optimization.step();
+        record.elapsed_s = self.elapsed_s();
+        Ok(record)
+    }
+
+    /// Losses on the host; one that is not finite ends the run with its batch in a file.
+    fn read(&self, losses: &Losses, samples: &[TrainSample]) -> Result<Vec<(String, Vec<f32>)>, TrainError> {
+        let named: Vec<(&str, &Tensor<1>)> = std::iter::once((TOTAL, &losses.total))
+            .chain(losses.terms.iter().map(|(name, value)| (name.as_str(), value)))
+            .collect();
+        let sizes: Vec<usize> = named.iter().map(|(_, value)| value.dims()[0]).collect();
+        let all = Tensor::cat(named.iter().map(|(_, value)| (*value).clone().inner()).collect(), 0);
+        let all = all.into_data().convert::<f32>();
+        let mut flat = all.iter::<f32>();
+        let values: Vec<(String, Vec<f32>)> = named
+            .iter()
+            .zip(&sizes)
+            .map(|((name, _), &size)| ((*name).to_owned(), flat.by_ref().take(size).collect()))
+            .collect();
+        let bad = values.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
+        let Some((term, value)) = bad else { return Ok(values) };
+        let step = self.optimization.step() + 1;
+        let batch = failure::save_batch(&self.options.out, step, samples, &values)?;
+        Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
+    }
+
+    fn validate(&mut self) -> Result<ValidationRecord, TrainError> {
+        let begin = Instant::now();
+        let model = self.optimization.deployed();
+        let mut record = self.validation.run(&model, self.config, &self.options.device)?;
+        record.step = self.optimization.step();
+        record.elapsed_s = self.elapsed_s();
+        self.journal.append(&Event::Validation(record.clone()))?;
+        if self.progress.best_score.is_none_or(|best| record.score() > best) {
+            self.progress.best_score = Some(record.score());
+            let meta = Meta { step: record.step, ..Meta::default() };
+            checkpoint::save(&self.options.out.join("best.safetensors"), &model, self.config, &meta)?;
+        }
+        self.validated_step = Some(record.step);
+        self.last_validation = Instant::now();
+        self.validation_time = begin.elapsed();
+        Ok(record)
+    }
+
+    fn save(&mut self) -> Result<(), TrainError> {
+        self.progress.elapsed_s = self.elapsed_s();
+        state::save(&self.options.out, &self.optimization, self.config, &self.progress)?;
+        self.last_checkpoint = Instant::now();
+        Ok(())
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.earlier_s + self.begin.elapsed().as_secs_f64()
+    }
+}
+
+/// Name of the whole loss among its terms.
+const TOTAL: &str = "total";
+
+fn validations(events: &[Event]) -> Vec<ValidationRecord> {
+    let of = |event: &Event| match event {
+        Event::Validation(record) => Some(record.clone()),
+        Event::Step(_) => None,
+    };
+    events.iter().filter_map(of).collect()
+}
+
+/// Makes the folder, refuses a run of another network in it, writes the resolved configuration.
+fn prepare_folder(config: &Config, options: &TrainOptions) -> Result<(), TrainError> {
+    let out = &options.out;
+    let io = |source| TrainError::Io { path: out.clone(), source };
+    fs::create_dir_all(out).map_err(io)?;
+    if options.fresh {
+        state::clear(out).map_err(io)?;
+    }
+    let last = state::last_path(out);
+    if last.exists() {
+        let earlier = checkpoint::read_config(&last)?;
+        if let Some((field, theirs, ours)) = checkpoint::differences(&earlier.model, &config.model).into_iter().next() {
+            return Err(TrainError::OtherModel { path: last, field, theirs, ours });
+        }
+    }
+    let text = config.to_toml()?;
+    Ok(write_atomic(&out.join("config.toml"), |writer| std::io::Write::write_all(writer, text.as_bytes()))?)
+}
+
+/// The last step of a run that an earlier call finished.
+fn finished_step(config: &Config, out: &Path) -> Result<Option<u64>, TrainError> {
+    let done = state::read_progress(out)?.filter(|(step, p)| p.finished && *step >= config.train.steps);
+    Ok(done.map(|(step, _)| step))
+}
