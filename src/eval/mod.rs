@@ -1,1 +1,42 @@
+//! Scoring of estimated poses with the metrics of the BOP challenge: VSD, MSSD, MSPD and their average recalls.
+//!
+//! [`score_files`] scores a result table of a dataset folder, [`score_results`] results in memory; both give the
+//! [`Scores`] that `scores.json` holds and the errors of every target. The metrics follow the official toolkit, metres
+//! instead of millimetres. Images are scored in parallel, one depth image per thread in memory.
 
+mod bins;
+mod error;
+mod matching;
+mod object;
+mod outcome;
+mod pose_error;
+mod scores;
+mod scoring;
+mod vsd;
+
+pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible};
+pub use error::EvalError;
+pub use matching::match_estimates;
+pub use object::EvalObject;
+pub use outcome::{Hits, PoseErrors, TargetOutcome};
+pub use pose_error::{mspd, mssd, rotation_error_deg};
+pub use scores::{AverageRecall, BinScore, MeanTimes, Scores, average_recall};
+pub use scoring::{Evaluation, ScoreFiles, ScoreOptions, score_files, score_results};
+pub use vsd::{TestView, vsd};
+
+/// Number of misalignment tolerances of VSD.
+pub const TAUS: usize = 10;
+/// Number of thresholds of correctness.
+pub const THRESHOLDS: usize = 10;
+/// Pixels between the thresholds of MSPD in an image of [`REFERENCE_WIDTH`].
+const MSPD_STEP: f64 = 5.0;
+/// Image width that MSPD's thresholds are meant for.
+const REFERENCE_WIDTH: f64 = 640.0;
+
+/// Tolerance, or threshold of correctness, number `index`: 0.05, 0.1, ... 0.5.
+fn threshold(index: usize) -> f64 {
+    0.05 + 0.05 * index as f64
+}
+
+#[cfg(test)]
+mod tests;

@@ -87,6 +87,12 @@ impl BopDataset {
         read_models_info(&self.models_folder()?.join("models_info.json"))
     }
 
+    /// The file of [`Self::models_info`], for messages.
+    pub fn models_info_place(&self) -> String {
+        let folder = self.models_folder().unwrap_or_else(|_| self.root.clone());
+        folder.join("models_info.json").display().to_string()
+    }
+
     /// PLY file (mm) of the evaluation model of an object.
     pub fn eval_model_path(&self, obj_id: u32) -> Result<PathBuf, FormatError> {
         let path = self.models_folder()?.join(format!("obj_{obj_id:06}.ply"));

@@ -1,0 +1,48 @@
+//! What the metrics need to know of an object.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::EvalError;
+use crate::{
+    formats::{BopDataset, ObjectSymmetries},
+    geometry::Pose,
+    mesh::{self, TriangleMesh},
+};
+
+const METRES_PER_MM: f32 = 1e-3;
+
+/// Evaluation model of an object, metres.
+#[derive(Clone, Debug)]
+pub struct EvalObject {
+    pub mesh: TriangleMesh,
+    pub diameter: f64,
+    /// All symmetries, the identity among them.
+    pub symmetries: Vec<Pose>,
+}
+
+impl EvalObject {
+    /// With the symmetries expanded as BOP does.
+    pub fn new(mesh: TriangleMesh, diameter: f64, symmetries: &ObjectSymmetries) -> Self {
+        Self { mesh, diameter, symmetries: symmetries.expand(ObjectSymmetries::BOP_STEP) }
+    }
+
+    /// Loads the evaluation models of the given objects.
+    pub fn load_all(
+        dataset: &BopDataset,
+        obj_ids: impl IntoIterator<Item = u32>,
+    ) -> Result<BTreeMap<u32, Self>, EvalError> {
+        let infos = dataset.models_info()?;
+        let load = |obj_id: u32| {
+            let path = dataset.eval_model_path(obj_id)?;
+            let info = infos
+                .get(&obj_id)
+                .ok_or_else(|| EvalError::UnknownObject { file: dataset.models_info_place(), obj_id })?;
+            let mesh = mesh::load(&path, METRES_PER_MM)?;
+            Ok((obj_id, Self::new(mesh, info.diameter, &info.symmetries)))
+        };
+        let obj_ids: Vec<u32> = obj_ids.into_iter().collect();
+        obj_ids.into_par_iter().map(load).collect()
+    }
+}

@@ -1,0 +1,101 @@
+//! Errors of the estimates of one object in one image, and which targets they hit.
+
+use serde::Serialize;
+
+use super::{
+    MSPD_STEP, REFERENCE_WIDTH, TAUS, THRESHOLDS,
+    matching::match_estimates,
+    object::EvalObject,
+    pose_error::{mspd, mssd, rotation_error_deg},
+    threshold,
+    vsd::{TestView, vsd},
+};
+use crate::{geometry::Pose, render::depth::DepthWindow};
+
+/// All errors of an estimated pose against a true one.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PoseErrors {
+    /// By tau, each 0..=1.
+    pub vsd: [f64; TAUS],
+    /// Metres; infinite (null in JSON) when the bounding spheres do not meet.
+    pub mssd: f64,
+    /// Pixels.
+    pub mspd: f64,
+    /// Smallest over the symmetries.
+    pub rotation_deg: f64,
+    /// Metres.
+    pub translation: f64,
+}
+
+impl PoseErrors {
+    /// `rendered_gt` is the object's depth in `t_gt`.
+    pub fn new(
+        object: &EvalObject,
+        view: &TestView,
+        t_est: &Pose,
+        t_gt: &Pose,
+        rendered_gt: &DepthWindow,
+    ) -> Self {
+        Self {
+            vsd: vsd(object, view, t_est, t_gt, rendered_gt),
+            mssd: mssd(object, t_est, t_gt),
+            mspd: mspd(object, view.camera, t_est, t_gt),
+            rotation_deg: rotation_error_deg(object, t_est, t_gt),
+            translation: t_est.translation_distance(t_gt),
+        }
+    }
+}
+
+/// Was a target found, by threshold?
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Hits {
+    pub vsd: [[bool; THRESHOLDS]; TAUS],
+    pub mssd: [bool; THRESHOLDS],
+    pub mspd: [bool; THRESHOLDS],
+}
+
+/// What became of one target instance.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TargetOutcome {
+    pub scene_id: u32,
+    pub im_id: u32,
+    pub obj_id: u32,
+    /// Index in `scene_gt.json`.
+    pub gt_index: usize,
+    pub visib_fract: f64,
+    /// Degrees between target and reference view, where known.
+    pub rot_deg: Option<f64>,
+    /// Errors of the estimate with the lowest MSSD (VSD for equal ones), `None` when there is no estimate.
+    pub errors: Option<PoseErrors>,
+    #[serde(skip)]
+    pub hits: Hits,
+}
+
+/// Hits of every ground truth. `errors[estimate][ground truth]`, estimates by descending score.
+pub fn hits(errors: &[Vec<PoseErrors>], gt_count: usize, diameter: f64, image_width: u32) -> Vec<Hits> {
+    let mut hits = vec![Hits::default(); gt_count];
+    let pixels = MSPD_STEP * f64::from(image_width) / REFERENCE_WIDTH;
+    for th in 0..THRESHOLDS {
+        for g in matched(errors, threshold(th), |e| e.mssd / diameter) {
+            hits[g].mssd[th] = true;
+        }
+        for g in matched(errors, pixels * (th + 1) as f64, |e| e.mspd) {
+            hits[g].mspd[th] = true;
+        }
+        for tau in 0..TAUS {
+            for g in matched(errors, threshold(th), |e| e.vsd[tau]) {
+                hits[g].vsd[tau][th] = true;
+            }
+        }
+    }
+    hits
+}
+
+fn matched(
+    errors: &[Vec<PoseErrors>],
+    threshold: f64,
+    value: impl Fn(&PoseErrors) -> f64,
+) -> impl Iterator<Item = usize> {
+    let values: Vec<Vec<f64>> = errors.iter().map(|row| row.iter().map(&value).collect()).collect();
+    match_estimates(&values, threshold).into_iter().flatten()
+}

@@ -1,0 +1,179 @@
+//! A hand-made dataset: a square of 20 cm facing the camera, whose errors can be counted on paper.
+
+use std::path::Path;
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use super::*;
+use crate::{
+    formats::{
+        ModelInfo, ObjectSymmetries, PoseResult, Target,
+        bop::{BopSceneWriter, SceneImage, SceneInstance},
+        files::read_json,
+        models::write_models_info,
+        results::write_results,
+        targets::write_targets,
+        write_atomic,
+    },
+    frame::{DepthMap, Mask, RgbdFrame},
+    geometry::{Intrinsics, Pose},
+    mesh::{TriangleMesh, ply},
+};
+
+const DIAMETER: f64 = 0.282_842_712_474_619;
+
+fn square() -> TriangleMesh {
+    TriangleMesh {
+        vertices: vec![[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.1, 0.1, 0.0], [-0.1, 0.1, 0.0]],
+        faces: vec![[0, 1, 2], [0, 2, 3]],
+        ..Default::default()
+    }
+}
+
+fn at(x: f64, z: f64) -> Pose {
+    Pose::new(Matrix3::identity(), Vector3::new(x, 0.0, z))
+}
+
+fn result(im_id: u32, x: f64, score: f64, time: f64) -> PoseResult {
+    PoseResult { scene_id: 1, im_id, obj_id: 1, score, t_camera_object: at(x, 1.0), time }
+}
+
+/// Image 0 has two instances at x = -0.15 and 0.15 m and a hardly visible third, image 1 has one; 1 cm is a pixel.
+fn write_dataset(root: &Path) {
+    let mut writer = BopSceneWriter::new(&root.join("test"), 1, 0.1, false);
+    let mut mask = Mask::empty(64, 64);
+    mask.data[..400].fill(true);
+    for (im_id, poses) in [(0, &[(0.0, 4000), (-0.15, 400), (0.15, 700)][..]), (1, &[(0.0, 400)][..])] {
+        let instance = |&(x, px_count_all): &(f64, u32)| SceneInstance {
+            obj_id: 1,
+            t_camera_object: at(x, 1.0),
+            mask: mask.clone(),
+            mask_visib: mask.clone(),
+            px_count_all,
+        };
+        let frame = RgbdFrame {
+            rgb: image::RgbImage::new(64, 64),
+            depth: DepthMap::zeros(64, 64),
+            intrinsics: Intrinsics { fx: 100.0, fy: 100.0, cx: 31.5, cy: 31.5 },
+        };
+        writer.add(&SceneImage { im_id, frame, instances: poses.iter().map(instance).collect() }).unwrap();
+    }
+    writer.finish().unwrap();
+    let info = ModelInfo {
+        diameter: DIAMETER,
+        min: Vector3::new(-0.1, -0.1, 0.0),
+        size: Vector3::new(0.2, 0.2, 0.0),
+        symmetries: ObjectSymmetries::default(),
+    };
+    write_models_info(&root.join("models_eval/models_info.json"), &[(1, info)].into()).unwrap();
+    write_atomic(&root.join("models_eval/obj_000001.ply"), |out| ply::write(&square(), 1000.0, None, out))
+        .unwrap();
+    let target = |im_id, inst_count| Target { scene_id: 1, im_id, obj_id: 1, inst_count };
+    write_targets(&root.join("test_targets_bop19.json"), &[target(0, 2), target(1, 1)]).unwrap();
+}
+
+fn score(root: &Path, results: &[PoseResult]) -> Result<Evaluation, EvalError> {
+    let path = root.join("any name.csv");
+    write_results(&path, results)?;
+    let files = ScoreFiles {
+        dataset: root.to_path_buf(),
+        results: path,
+        split: None,
+        targets: None,
+        references: None,
+        reference_split: None,
+    };
+    score_files(&files, &|_, _| {})
+}
+
+#[test]
+fn recalls_of_two_instances_and_a_missed_target() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path());
+    // The third estimate is exact too, but an image has only its two best; the last is of no target's object.
+    let mut results = vec![
+        result(0, 0.15, 0.1, 0.5),
+        result(0, -0.15, 0.9, 0.5),
+        result(0, 0.15 + 0.032, 0.8, 0.5),
+        PoseResult { obj_id: 9, ..result(0, 0.0, 1.0, 0.5) },
+    ];
+    let Evaluation { scores, targets } = score(folder.path(), &results).unwrap();
+    assert_eq!((scores.recall.n_targets, scores.n_estimates, targets.len()), (3, 2, 3));
+    // 3.2 cm: 11.3 % of the diameter misses 2 of 10 thresholds.
+    assert!((scores.recall.ar_mssd - 18.0 / 30.0).abs() < 1e-12);
+    // 3.2 px against 0.5, 1, ... 5 px in an image of 64 columns: below the last four.
+    assert!((scores.recall.ar_mspd - 14.0 / 30.0).abs() < 1e-12);
+    // 17 columns of 23 in common: an error of 0.26 is below five thresholds, at every tolerance.
+    assert!((scores.recall.ar_vsd - 15.0 / 30.0).abs() < 1e-12);
+    assert!((scores.recall.ar - (18.0 + 14.0 + 15.0) / 90.0).abs() < 1e-12);
+    // Most visible first: instance 1, then 2; instance 0 is beyond inst_count.
+    let indices: Vec<_> = targets.iter().map(|t| (t.im_id, t.gt_index)).collect();
+    assert_eq!(indices, [(0, 1), (0, 2), (1, 0)]);
+    let errors = targets[1].errors.as_ref().unwrap();
+    assert!((errors.mssd - 0.032).abs() < 1e-7 && (errors.mspd - 3.2).abs() < 1e-5);
+    assert!((errors.vsd[0] - 6.0 / 23.0).abs() < 1e-12);
+    assert!(targets[2].errors.is_none());
+    // Visibility 1, 400 / 700 and 1.
+    let bins: Vec<_> = scores.per_visibility.iter().map(|b| (b.from, b.recall.n_targets)).collect();
+    assert_eq!(bins, [(0.4, 1), (0.8, 2)]);
+    assert_eq!(scores.per_object[&1], scores.recall);
+    assert_eq!((scores.mean_time_per_image_s, scores.mean_time_per_pair_s), (0.5, 0.125));
+    results[0].time = -1.0;
+    assert_eq!(score(folder.path(), &results).unwrap().scores.mean_time_per_image_s, -1.0);
+
+    let out = folder.path().join("out");
+    Evaluation { scores, targets }.write(&out).unwrap();
+    let written: serde_json::Value = read_json(&out.join("scores.json")).unwrap();
+    for key in ["AR", "AR_VSD", "AR_MSSD", "AR_MSPD", "mean_time_per_image_s", "mean_time_per_pair_s"] {
+        assert!(written[key].is_f64(), "{key}: {written}");
+    }
+    assert_eq!(written["n_targets"], 3);
+    let errors: serde_json::Value = read_json(&out.join("errors.json")).unwrap();
+    assert!(errors[2]["errors"].is_null() && errors[1]["errors"]["vsd"].is_array());
+}
+
+#[test]
+fn scoring_names_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path());
+    let root = folder.path();
+    assert_eq!(score(root, &[]).unwrap().scores.recall.ar, 0.0);
+    let fails = |part: &str| {
+        let message = score(root, &[]).unwrap_err().to_string();
+        assert!(message.contains(part), "{message}");
+    };
+    let target = |im_id, obj_id| [Target { scene_id: 1, im_id, obj_id, inst_count: 1 }];
+    write_targets(&root.join("test_targets_bop19.json"), &target(0, 2)).unwrap();
+    fails("obj_000002.ply");
+    write_targets(&root.join("test_targets_bop19.json"), &target(5, 1)).unwrap();
+    fails("depth/000005");
+    std::fs::write(root.join("models_eval/obj_000001.ply"), "ply\nformat ascii 1.0\nelement vert").unwrap();
+    fails("obj_000001.ply");
+    std::fs::remove_file(root.join("test_targets_bop19.json")).unwrap();
+    fails("test_targets_bop19.json");
+}
+
+#[test]
+fn a_symmetric_turn_is_no_error() {
+    let half_turn = Pose::new(
+        *Rotation3::from_axis_angle(&Vector3::z_axis(), 180f64.to_radians()).matrix(),
+        Vector3::zeros(),
+    );
+    let plain = EvalObject::new(square(), DIAMETER, &ObjectSymmetries::default());
+    let symmetric = EvalObject::new(
+        square(),
+        DIAMETER,
+        &ObjectSymmetries { discrete: vec![half_turn], continuous: vec![] },
+    );
+    let camera = Intrinsics { fx: 100.0, fy: 100.0, cx: 31.5, cy: 31.5 };
+    let (t_gt, t_est) = (at(0.02, 1.0), at(0.02, 1.0) * half_turn);
+    assert!((mssd(&plain, &t_est, &t_gt) - DIAMETER).abs() < 1e-6);
+    assert!((mspd(&plain, &camera, &t_est, &t_gt) - 100.0 * DIAMETER).abs() < 1e-4);
+    assert!((rotation_error_deg(&plain, &t_est, &t_gt) - 180.0).abs() < 1e-6);
+    assert!(mssd(&symmetric, &t_est, &t_gt) < 1e-7);
+    assert!(mspd(&symmetric, &camera, &t_est, &t_gt) < 1e-5);
+    assert!(rotation_error_deg(&symmetric, &t_est, &t_gt) < 1e-6);
+    assert_eq!(mssd(&symmetric, &at(0.0, 1.0), &at(DIAMETER + 0.01, 1.0)), f64::INFINITY);
+    // A camera plane through the object has no projection there.
+    assert_eq!(mspd(&plain, &camera, &at(0.0, 0.0), &t_gt), f64::INFINITY);
+}
