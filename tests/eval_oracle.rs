@@ -92,7 +92,8 @@ fn compare(benchmark: &Path, method: &str, references: Option<&str>) -> Evaluati
     }
     // Tables hold micrometres and nine digits of rotation.
     assert!(mssd < 1e-3 && mspd < 1e-3, "{method}: MSSD {mssd} mm, MSPD {mspd} px");
-    // A pixel at a silhouette or at a tolerance may fall to the other side; objects cover 150 pixels and more.
+    // A pixel at a silhouette or at a tolerance may fall to the other side; objects cover 150 pixels and
+    // more.
     assert!(vsd < 7e-3, "{method}: VSD {vsd}");
     evaluation
 }
@@ -111,7 +112,8 @@ fn largest_differences(evaluation: &Evaluation, errors: &Path) -> [f64; 3] {
             None if errors.mssd.is_infinite() => 0.0,
             None => f64::INFINITY,
         };
-        // A vertex near the camera plane projects millions of pixels away, wherever the table's rounding puts it.
+        // A vertex near the camera plane projects millions of pixels away, wherever the table's rounding puts
+        // it.
         let mspd = (errors.mspd.min(FAR_PIXELS) - expected.mspd.min(FAR_PIXELS)).abs();
         let difference = [vsd, mssd, mspd];
         largest = std::array::from_fn(|i| largest[i].max(difference[i]));

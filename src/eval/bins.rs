@@ -13,7 +13,8 @@ pub const VISIBILITY_EDGES: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
 /// Limits of the rotation bins, degrees.
 pub const ROTATION_EDGES: [f64; 11] = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 180.0];
 
-/// Bin of a value: lower limit included, upper excluded but for the last; values outside go to the first or last bin.
+/// Bin of a value: lower limit included, upper excluded but for the last; values outside go to the first or
+/// last bin.
 pub fn bin_of(value: f64, edges: &[f64]) -> usize {
     edges[1..edges.len() - 1].iter().take_while(|&&edge| value >= edge).count()
 }
@@ -25,8 +26,9 @@ pub struct RotationBins {
 }
 
 impl RotationBins {
-    /// Takes the angle a target list gives, or else computes it from the annotated poses (smallest over the symmetries,
-    /// most visible instance on both sides). The nearest reference counts when a target has several.
+    /// Takes the angle a target list gives, or else computes it from the annotated poses (smallest over the
+    /// symmetries, most visible instance on both sides). The nearest reference counts when a target has
+    /// several.
     pub fn new(
         targets: &[ReferenceTarget],
         dataset: &BopDataset,

@@ -1,7 +1,8 @@
 //! Which estimate is credited with which ground truth.
 
-/// Assigns estimates to ground truths greedily: in the given order (descending score) each estimate takes the free ground
-/// truth with the lowest error below `threshold`. `errors[e][g]`; the result has the ground truth of every estimate.
+/// Assigns estimates to ground truths greedily: in the given order (descending score) each estimate takes the
+/// free ground truth with the lowest error below `threshold`. `errors[e][g]`; the result has the ground truth
+/// of every estimate.
 pub fn match_estimates<E: AsRef<[f64]>>(errors: &[E], threshold: f64) -> Vec<Option<usize>> {
     let mut taken = vec![false; errors.iter().map(|e| e.as_ref().len()).max().unwrap_or(0)];
     errors

@@ -1,8 +1,10 @@
-//! Scoring of estimated poses with the metrics of the BOP challenge: VSD, MSSD, MSPD and their average recalls.
+//! Scoring of estimated poses with the metrics of the BOP challenge: VSD, MSSD, MSPD and their average
+//! recalls.
 //!
-//! [`score_files`] scores a result table of a dataset folder, [`score_results`] results in memory; both give the
-//! [`Scores`] that `scores.json` holds and the errors of every target. The metrics follow the official toolkit, metres
-//! instead of millimetres. Images are scored in parallel, one depth image per thread in memory.
+//! [`score_files`] scores a result table of a dataset folder, [`score_results`] results in memory; both give
+//! the [`Scores`] that `scores.json` holds and the errors of every target. The metrics follow the official
+//! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
+//! memory.
 
 mod bins;
 mod error;

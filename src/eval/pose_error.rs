@@ -1,12 +1,13 @@
-//! Errors of an estimated pose that compare model points: MSSD, MSPD, and plain rotation and translation errors.
+//! Errors of an estimated pose that compare model points: MSSD, MSPD, and plain rotation and translation
+//! errors.
 
 use nalgebra::{Vector2, Vector3};
 
 use super::object::EvalObject;
 use crate::geometry::{Intrinsics, Pose};
 
-/// Maximum symmetry-aware surface distance, metres: the largest vertex displacement, for the symmetry with the smallest.
-/// Infinite when the bounding spheres of both poses do not meet.
+/// Maximum symmetry-aware surface distance, metres: the largest vertex displacement, for the symmetry with
+/// the smallest. Infinite when the bounding spheres of both poses do not meet.
 pub fn mssd(object: &EvalObject, t_est: &Pose, t_gt: &Pose) -> f64 {
     if t_est.translation_distance(t_gt) >= object.diameter {
         return f64::INFINITY;

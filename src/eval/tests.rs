@@ -38,7 +38,8 @@ fn result(im_id: u32, x: f64, score: f64, time: f64) -> PoseResult {
     PoseResult { scene_id: 1, im_id, obj_id: 1, score, t_camera_object: at(x, 1.0), time }
 }
 
-/// Image 0 has two instances at x = -0.15 and 0.15 m and a hardly visible third, image 1 has one; 1 cm is a pixel.
+/// Image 0 has two instances at x = -0.15 and 0.15 m and a hardly visible third, image 1 has one; 1 cm is a
+/// pixel.
 fn write_dataset(root: &Path) {
     let mut writer = BopSceneWriter::new(&root.join("test"), 1, 0.1, false);
     let mut mask = Mask::empty(64, 64);

@@ -1,6 +1,6 @@
-//! Visible surface discrepancy (Hodan et al., "BOP: Benchmark for 6D object pose estimation", ECCV 2018) in the form of
-//! the BOP challenges since 2019: distances to the camera centre, step cost, pixels without a measurement count as
-//! visible.
+//! Visible surface discrepancy (Hodan et al., "BOP: Benchmark for 6D object pose estimation", ECCV 2018) in
+//! the form of the BOP challenges since 2019: distances to the camera centre, step cost, pixels without a
+//! measurement count as visible.
 
 use super::{TAUS, object::EvalObject};
 use crate::{
@@ -25,8 +25,8 @@ impl TestView<'_> {
     }
 }
 
-/// VSD for every misalignment tolerance of [`TAUS`] (shares of the diameter), each in 0..=1. `rendered_gt` is the object's
-/// depth in `t_gt`.
+/// VSD for every misalignment tolerance of [`TAUS`] (shares of the diameter), each in 0..=1. `rendered_gt` is
+/// the object's depth in `t_gt`.
 pub fn vsd(
     object: &EvalObject,
     view: &TestView,
@@ -121,8 +121,8 @@ mod tests {
 
     #[test]
     fn a_shift_in_depth_costs_where_it_exceeds_the_tolerance() {
-        // 2.5 cm nearer: 8.8 % of the diameter along the axis, a bit more along oblique rays. The nearer square projects
-        // to 20.5 pixels, which cover the same centres.
+        // 2.5 cm nearer: 8.8 % of the diameter along the axis, a bit more along oblique rays. The nearer
+        // square projects to 20.5 pixels, which cover the same centres.
         let errors = error(&DepthMap::zeros(64, 64), &at(0.0, 0.975));
         assert_eq!(errors[0], 1.0);
         assert_eq!(errors[1..], [0.0; 9]);
@@ -130,8 +130,8 @@ mod tests {
 
     #[test]
     fn hidden_parts_do_not_count() {
-        // A wall at 0.5 m hides the left half; the estimate 3 cm behind is hidden by the true surface only where that
-        // is not visible itself.
+        // A wall at 0.5 m hides the left half; the estimate 3 cm behind is hidden by the true surface only
+        // where that is not visible itself.
         let mut depth = DepthMap { width: 64, height: 64, data: vec![1.0; 64 * 64] };
         for i in 0..64 * 64 {
             if i % 64 < 32 {

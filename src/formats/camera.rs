@@ -78,7 +78,8 @@ enum CameraFile {
     },
 }
 
-/// Reads a single-camera file: `{cam_K, depth_scale}`, or `{fx, fy, cx, cy, depth_scale}` as a dataset's `camera.json`.
+/// Reads a single-camera file: `{cam_K, depth_scale}`, or `{fx, fy, cx, cy, depth_scale}` as a dataset's
+/// `camera.json`.
 pub fn read_camera(path: &Path) -> Result<Camera, FormatError> {
     let value: serde_json::Value = read_json(path)?;
     let record = match serde_json::from_value::<CameraFile>(value) {

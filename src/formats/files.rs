@@ -13,8 +13,8 @@ use super::FormatError;
 /// What [`write_atomic`] hands to its closure.
 pub type AtomicWriter<'a> = BufWriter<&'a mut File>;
 
-/// Writes `path` through a temporary file in the same folder that is renamed when `write` succeeded, so that no
-/// reader and no killed process ever sees half a file. Missing folders are made.
+/// Writes `path` through a temporary file in the same folder that is renamed when `write` succeeded, so that
+/// no reader and no killed process ever sees half a file. Missing folders are made.
 pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut AtomicWriter) -> std::io::Result<()>,

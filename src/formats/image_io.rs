@@ -4,15 +4,13 @@ use std::{io::Cursor, path::Path};
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma, RgbImage, codecs::jpeg::JpegEncoder};
 
-pub use super::files::write_atomic;
-
-use super::FormatError;
+use super::{FormatError, files::write_atomic};
 use crate::frame::{DepthMap, Mask};
 
 const MM_PER_METRE: f64 = 1000.0;
 
-/// The jpeg decoder fills what a truncated file lacks with gray, so the end marker is looked for. Entropy-coded data
-/// cannot contain it.
+/// The jpeg decoder fills what a truncated file lacks with gray, so the end marker is looked for.
+/// Entropy-coded data cannot contain it.
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 
 /// Colour image as 8-bit RGB; gray becomes three equal channels, an alpha channel is dropped.

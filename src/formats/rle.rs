@@ -1,7 +1,7 @@
 //! COCO run-length encoding of masks: column-major runs that start with background.
 //!
-//! Both written forms are read: the integer list and the compressed string (five bits per character from `'0'`
-//! on, runs after the third stored as the difference to the run two before).
+//! Both written forms are read: the integer list and the compressed string (five bits per character from
+//! `'0'` on, runs after the third stored as the difference to the run two before).
 
 use serde::{Deserialize, Serialize};
 

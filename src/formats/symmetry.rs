@@ -39,8 +39,8 @@ impl ObjectSymmetries {
         self.discrete.is_empty() && self.continuous.is_empty()
     }
 
-    /// All symmetries, identity first: every sampled rotation after every discrete one. Each continuous axis gets
-    /// `ceil(pi / max_step)` rotations; several axes are a union, not a product.
+    /// All symmetries, identity first: every sampled rotation after every discrete one. Each continuous axis
+    /// gets `ceil(pi / max_step)` rotations; several axes are a union, not a product.
     pub fn expand(&self, max_step: f64) -> Vec<Pose> {
         let steps = (PI / max_step).ceil().max(1.0) as usize;
         let angle = |i: usize| 2.0 * PI * i as f64 / steps as f64;
@@ -57,8 +57,8 @@ impl ObjectSymmetries {
             .collect()
     }
 
-    /// Angle between two object-to-camera rotations in degrees, the smallest over the symmetries. Continuous axes are
-    /// solved exactly.
+    /// Angle between two object-to-camera rotations in degrees, the smallest over the symmetries. Continuous
+    /// axes are solved exactly.
     pub fn rotation_distance_deg(&self, t_a: &Pose, t_b: &Pose) -> f64 {
         let rotation_only = |m: Matrix3<f64>| Pose::new(m, Vector3::zeros());
         let discrete = std::iter::once(Matrix3::identity()).chain(self.discrete.iter().map(|s| s.rotation));

@@ -40,8 +40,8 @@ pub struct ReferenceTarget {
     pub overlap: Option<f64>,
 }
 
-/// Reads a target list, sorted by scene, image and object; repeated entries (a target with several references) count
-/// once. A list of references is a target list too.
+/// Reads a target list, sorted by scene, image and object; repeated entries (a target with several
+/// references) count once. A list of references is a target list too.
 pub fn read_targets(path: &Path) -> Result<Vec<Target>, FormatError> {
     let mut targets: BTreeMap<(u32, u32, u32), Target> = BTreeMap::new();
     for (index, target) in read_json::<Vec<Target>>(path)?.into_iter().enumerate() {

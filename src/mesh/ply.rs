@@ -1,5 +1,5 @@
-//! PLY meshes as BOP writes them: normals, vertex colours, texture coordinates per vertex or per face corner, and the
-//! picture named by a `TextureFile` comment.
+//! PLY meshes as BOP writes them: normals, vertex colours, texture coordinates per vertex or per face corner,
+//! and the picture named by a `TextureFile` comment.
 
 use std::{
     collections::HashMap,

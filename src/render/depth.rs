@@ -1,9 +1,9 @@
 //! Depth of one mesh in one pose, as a ray through every pixel centre would meet it.
 //!
-//! Triangles are rasterised with homogeneous edge functions (Olano and Greer, "Triangle scan conversion using 2D
-//! homogeneous coordinates"): no clipping, and the two triangles at an edge evaluate exactly opposite numbers there, so
-//! that no ray slips between them. Double precision keeps coverage and depth equal to a ray caster's but for rays that
-//! graze an edge.
+//! Triangles are rasterised with homogeneous edge functions (Olano and Greer, "Triangle scan conversion using
+//! 2D homogeneous coordinates"): no clipping, and the two triangles at an edge evaluate exactly opposite
+//! numbers there, so that no ray slips between them. Double precision keeps coverage and depth equal to a ray
+//! caster's but for rays that graze an edge.
 
 use crate::{
     frame::{BoundingBox, DepthMap},

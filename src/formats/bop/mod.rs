@@ -1,8 +1,8 @@
 //! Scene-wise BOP datasets: `<split>/SSSSSS/{rgb,gray,depth,mask,mask_visib}/` with `scene_camera.json`,
 //! `scene_gt.json` and `scene_gt_info.json`, models beside the splits.
 //!
-//! [`BopDataset`] finds the splits and models, [`BopSplit`] hands out scenes (parsed once, kept) and loads single
-//! images; [`BopSceneWriter`] writes the same layout.
+//! [`BopDataset`] finds the splits and models, [`BopSplit`] hands out scenes (parsed once, kept) and loads
+//! single images; [`BopSceneWriter`] writes the same layout.
 
 mod records;
 mod split;

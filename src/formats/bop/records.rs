@@ -1,4 +1,5 @@
-//! Entries of `scene_gt.json` and `scene_gt_info.json`, millimetres as in the files. Unknown fields are ignored.
+//! Entries of `scene_gt.json` and `scene_gt_info.json`, millimetres as in the files. Unknown fields are
+//! ignored.
 
 use serde::{Deserialize, Serialize};
 
