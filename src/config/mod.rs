@@ -10,6 +10,7 @@ mod load;
 mod loss;
 mod model;
 mod overrides;
+mod synth;
 mod train;
 mod validate;
 
@@ -21,6 +22,7 @@ pub use model::{
     ColorConfig, EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, MatchingConfig,
     ModelConfig, OverlapMode, Quirks, VitConfig,
 };
+pub use synth::{SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;
 
 use serde::{Deserialize, Serialize};

@@ -8,6 +8,7 @@ pub mod detections;
 mod error;
 pub mod files;
 pub mod image_io;
+pub mod megapose;
 pub mod models;
 pub mod results;
 pub mod rle;

@@ -1,6 +1,20 @@
 //! Triangle meshes in metres, with their files (PLY, OBJ, STL, GLB).
+//!
+//! [`load`] picks the reader by extension and hands out a validated mesh; [`TriangleMesh`] itself is plain data.
 
-use std::sync::Arc;
+mod error;
+mod glb;
+mod measure;
+mod normals;
+mod obj;
+pub mod ply;
+mod stl;
+
+pub use error::MeshError;
+pub use measure::Bounds;
+pub use normals::split_by_crease;
+
+use std::{path::Path, sync::Arc};
 
 /// Triangle mesh. All per-vertex lists are either empty or as long as `vertices`.
 #[derive(Clone, Debug, Default)]
@@ -16,3 +30,27 @@ pub struct TriangleMesh {
     pub colors: Vec<[u8; 3]>,
     pub texture: Option<Arc<image::RgbImage>>,
 }
+
+/// Loads a mesh by its extension (ply, obj, stl, glb, gltf) and multiplies coordinates by `scale_to_metres`.
+///
+/// Normals missing in the file are computed; a missing texture file is reported in the log and left out.
+pub fn load(path: &Path, scale_to_metres: f32) -> Result<TriangleMesh, MeshError> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let mut mesh = match extension.as_str() {
+        "obj" => obj::read(path)?,
+        "ply" => ply::read(path)?,
+        "stl" => stl::read(path)?,
+        "glb" | "gltf" => glb::read(path)?,
+        _ => return Err(MeshError::Extension { path: path.to_owned(), extension }),
+    };
+    mesh.scale(scale_to_metres);
+    mesh.validate().map_err(|source| MeshError::Invalid { path: path.to_owned(), source })?;
+    mesh.remove_degenerate_faces();
+    if mesh.normals.len() != mesh.vertices.len() {
+        mesh.compute_normals();
+    }
+    Ok(mesh)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,21 @@
+//! Rendering: a colour rasteriser with soft shadows for synthetic images.
+//!
+//! [`SceneRenderer`] prepares what all views of a scene share (shadow maps) and then renders views: linear radiance from
+//! several samples per pixel, exact depth and instance ids from one sample at each pixel centre. Rasterising beats
+//! casting the primary and shadow rays through a BVH several times over at these sizes; an independent ray query checks
+//! it in the tests.
 
+mod buffer;
+pub mod depth;
+mod instances;
+mod raster;
+mod room;
+mod scene;
+mod shading;
+mod shadow;
+pub mod texture;
+mod view;
+
+pub use instances::{InstanceView, instance_views};
+pub use scene::{Finish, Light, Placed, Room, Scene, Surface};
+pub use view::{Camera, Rendering, SceneRenderer};

@@ -1,1 +1,26 @@
+//! Synthetic RGB-D data: procedural objects, dropped in clutter, rendered, measured by a noisy sensor.
+//!
+//! [`generate`] fills a folder with MegaPose-style shards. Every shard is a function of (configuration, shard number)
+//! alone: random numbers come from per-item streams, so neither threads nor interruptions change a byte.
 
+mod contact_sheet;
+mod error;
+mod generate;
+mod object;
+mod photograph;
+mod physics;
+mod random;
+mod scene;
+mod sensor;
+mod shapes;
+mod shard;
+mod texture;
+
+pub use contact_sheet::contact_sheet;
+pub use error::SynthError;
+pub use generate::{Progress, Stage, Summary, generate, generate_shards};
+pub use object::{ObjectLibrary, SynthObject};
+pub use shapes::Family;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,278 @@
+//! Reading: index of all instances, random access to images.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::{Path, PathBuf},
+};
+
+use rayon::prelude::*;
+
+use super::{
+    super::{
+        AnnotatedFrame, FormatError, Instance, ObjectSymmetries,
+        bop::{GtInfoRecord, GtRecord},
+        camera::CameraRecord,
+        image_io::{decode_depth, decode_rgb},
+        models::read_models_info,
+    },
+    archive::Archive,
+    index::Published,
+    records::{ImageRecords, MemberKind, from_json, masks_from_json},
+};
+use crate::frame::RgbdFrame;
+
+/// One instance of one image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InstanceRef {
+    /// Index into [`ShardDataset::image_keys`].
+    pub image: u32,
+    /// Position in the image's `gt.json`.
+    pub instance: u32,
+    pub obj_id: u32,
+    pub visib_fract: f32,
+    pub px_count_visib: u32,
+}
+
+/// A folder of shards.
+#[derive(Debug)]
+pub struct ShardDataset {
+    folder: PathBuf,
+    shards: Vec<(u32, Archive)>,
+    keys: Vec<String>,
+    /// Per image: position in `shards`.
+    shard_of: Vec<u32>,
+    instances: Vec<InstanceRef>,
+    references: HashMap<u32, Vec<usize>>,
+    symmetries: BTreeMap<u32, ObjectSymmetries>,
+    no_symmetries: ObjectSymmetries,
+    problems: Vec<String>,
+}
+
+type ImageInstances = (String, Vec<InstanceRef>);
+
+impl ShardDataset {
+    /// Opens the folder with the shards or the one above (`train_pbr_web` is found inside). Damaged shards and images
+    /// are left out and listed in [`Self::problems`]; a folder without one usable image is an error.
+    pub fn open(dir: &Path) -> Result<Self, FormatError> {
+        let folder = ["train_pbr_web", "."].iter().map(|sub| dir.join(sub)).find(|f| !shard_paths(f).is_empty());
+        let hint = "shard-NNNNNN.tar files or NNNNNN folders, there or in train_pbr_web/";
+        let folder = folder.ok_or_else(|| FormatError::missing(dir.display(), "shards", hint))?;
+        let parent = folder.parent().map(Path::to_path_buf).unwrap_or_default();
+        let published = Published::read(&[&folder, &parent])?;
+        let scanned: Vec<(u32, Archive, Vec<ImageInstances>, Vec<String>)> =
+            shard_paths(&folder).into_par_iter().map(|(number, path)| scan_shard(number, &path)).collect();
+        let mut dataset = Self {
+            folder,
+            shards: Vec::new(),
+            keys: Vec::new(),
+            shard_of: Vec::new(),
+            instances: Vec::new(),
+            references: HashMap::new(),
+            symmetries: BTreeMap::new(),
+            no_symmetries: ObjectSymmetries::default(),
+            problems: Vec::new(),
+        };
+        for (number, archive, images, problems) in scanned {
+            dataset.problems.extend(problems);
+            for (key, instances) in images {
+                dataset.add_image(key, instances, &published);
+            }
+            dataset.shards.push((number, archive));
+        }
+        if dataset.keys.is_empty() {
+            let first = dataset.problems.first().cloned().unwrap_or_default();
+            return Err(FormatError::missing(dir.display(), "usable images", first));
+        }
+        for problem in &dataset.problems {
+            tracing::warn!("{problem}");
+        }
+        let info = [&parent, &dataset.folder].map(|f| [f.join("models/models_info.json"), f.join("models_info.json")]);
+        if let Some(file) = info.iter().flatten().find(|f| f.is_file()) {
+            dataset.symmetries = read_models_info(file)?.into_iter().map(|(id, m)| (id, m.symmetries)).collect();
+        }
+        Ok(dataset)
+    }
+
+    fn add_image(&mut self, key: String, instances: Vec<InstanceRef>, published: &Published) {
+        let image = self.keys.len() as u32;
+        for instance in instances {
+            let instance = InstanceRef { image, ..instance };
+            if published.is_valid(&key, &instance) {
+                if published.is_reference(&key, &instance) {
+                    self.references.entry(instance.obj_id).or_default().push(self.instances.len());
+                }
+                self.instances.push(instance);
+            }
+        }
+        self.keys.push(key);
+        // The shard of this image is pushed after its images.
+        self.shard_of.push(self.shards.len() as u32);
+    }
+
+    /// Folder that holds the shards.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// `SSSSSS_IIIIII` of every image, by shard.
+    pub fn image_keys(&self) -> &[String] {
+        &self.keys
+    }
+
+    /// Valid instances: those of the published index, or visible share >= 0.1 and at least 512 visible pixels.
+    pub fn instances(&self) -> &[InstanceRef] {
+        &self.instances
+    }
+
+    /// Indices into [`Self::instances`] that may serve as references of the object (visible share >= 0.8).
+    pub fn references(&self, obj_id: u32) -> &[usize] {
+        self.references.get(&obj_id).map_or(&[], Vec::as_slice)
+    }
+
+    /// Symmetries from `models_info.json`; none for an unknown object.
+    pub fn symmetries(&self, obj_id: u32) -> &ObjectSymmetries {
+        self.symmetries.get(&obj_id).unwrap_or(&self.no_symmetries)
+    }
+
+    /// What was skipped and why.
+    pub fn problems(&self) -> &[String] {
+        &self.problems
+    }
+
+    pub(super) fn keys_and_shards(&self) -> impl Iterator<Item = (&str, u32)> {
+        self.keys.iter().zip(&self.shard_of).map(|(key, &s)| (key.as_str(), self.shards[s as usize].0))
+    }
+
+    /// Reads and decodes an image with all its instances (valid or not, in the order of `gt.json`).
+    pub fn load(&self, image: u32) -> Result<AnnotatedFrame, FormatError> {
+        let (records, rgb, depth_png, name) = self.read(image)?;
+        let camera = records.camera.check(&name)?;
+        let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), camera.depth_scale)?;
+        if (depth.width, depth.height) != (rgb.width(), rgb.height()) {
+            let value = format!("{} x {}", depth.width, depth.height);
+            let expected = format!("{} x {} as rgb.jpg", rgb.width(), rgb.height());
+            return Err(FormatError::field(format!("{name}.depth.png"), "image size", value, expected));
+        }
+        let frame = RgbdFrame { rgb, depth, intrinsics: camera.intrinsics };
+        let instance = |i: usize| -> Result<Instance, FormatError> {
+            let (gt, info) = (&records.gt[i], &records.gt_info[i]);
+            let place = format!("{name}.mask_visib.json: instance {i}");
+            let mask_visib = records.mask_visib[i].decode().map_err(|e| e.within(&place))?;
+            if (mask_visib.width, mask_visib.height) != (frame.width(), frame.height()) {
+                let value = format!("{} x {}", mask_visib.width, mask_visib.height);
+                let expected = format!("{} x {} as rgb.jpg", frame.width(), frame.height());
+                return Err(FormatError::field(place, "mask size", value, expected));
+            }
+            Ok(Instance {
+                obj_id: gt.obj_id,
+                t_camera_object: gt.pose(&format!("{name}.gt.json: instance {i}"))?,
+                visib_fract: info.visib_fract,
+                px_count_visib: info.px_count_visib,
+                mask_visib,
+            })
+        };
+        let instances = (0..records.gt.len()).map(instance).collect::<Result<_, _>>()?;
+        Ok(AnnotatedFrame { frame, instances })
+    }
+
+    /// The JSON members of an image, as they are.
+    pub fn records(&self, image: u32) -> Result<ImageRecords, FormatError> {
+        self.read(image).map(|(records, ..)| records)
+    }
+
+    fn read(&self, image: u32) -> Result<(ImageRecords, image::RgbImage, Vec<u8>, String), FormatError> {
+        let (Some(key), Some(&shard)) = (self.keys.get(image as usize), self.shard_of.get(image as usize)) else {
+            let expected = format!("below {}", self.keys.len());
+            return Err(FormatError::field(self.folder.display(), "image number", image, expected));
+        };
+        let archive = &self.shards[shard as usize].1;
+        let mut reader = archive.reader()?;
+        let mut member = |kind| reader.read(key, kind);
+        let (bytes, place) = member(MemberKind::Camera)?;
+        let camera: CameraRecord = from_json(&bytes, &place)?;
+        let (bytes, place) = member(MemberKind::Gt)?;
+        let gt: Vec<GtRecord> = from_json(&bytes, &place)?;
+        let (bytes, place) = member(MemberKind::GtInfo)?;
+        let gt_info: Vec<GtInfoRecord> = from_json(&bytes, &place)?;
+        check_counts(gt.len(), gt_info.len(), &place)?;
+        let (bytes, place) = member(MemberKind::MaskVisib)?;
+        let mask_visib = masks_from_json(&bytes, gt.len(), &place)?;
+        // The whole silhouettes are not needed for training; sets without them are read, too.
+        let mask = match member(MemberKind::Mask) {
+            Ok((bytes, place)) => masks_from_json(&bytes, gt.len(), &place)?,
+            Err(_) => Vec::new(),
+        };
+        let (bytes, place) = member(MemberKind::Rgb)?;
+        let rgb = decode_rgb(&bytes, &place)?;
+        let (depth, _) = member(MemberKind::Depth)?;
+        let records = ImageRecords { camera, gt, gt_info, mask, mask_visib };
+        Ok((records, rgb, depth, format!("{}: {key}", archive.path.display())))
+    }
+}
+
+fn check_counts(gt: usize, gt_info: usize, place: &str) -> Result<(), FormatError> {
+    if gt == gt_info {
+        return Ok(());
+    }
+    Err(FormatError::field(place, "number of instances", gt_info, format!("{gt} as in gt.json")))
+}
+
+/// Shards of a folder, by number: `shard-NNNNNN.tar` (any tar whose name ends in a number) or folders `NNNNNN`.
+fn shard_paths(folder: &Path) -> Vec<(u32, PathBuf)> {
+    let entries = std::fs::read_dir(folder).ok().into_iter().flatten();
+    let shard = |path: PathBuf| {
+        let stem = path.file_stem()?.to_str()?;
+        let digits = stem.rsplit(|c: char| !c.is_ascii_digit()).next().filter(|d| !d.is_empty())?;
+        let packed = path.extension().is_some_and(|e| e == "tar") && path.is_file();
+        let unpacked = path.is_dir() && (stem.len() == digits.len() || stem.starts_with("shard"));
+        (packed || unpacked).then_some((digits.parse().ok()?, path.clone()))
+    };
+    let mut shards: Vec<(u32, PathBuf)> = entries.filter_map(|e| shard(e.ok()?.path())).collect();
+    shards.sort();
+    // A shard that was unpacked beside its tar counts once.
+    shards.dedup_by_key(|s| s.0);
+    shards
+}
+
+fn scan_shard(number: u32, path: &Path) -> (u32, Archive, Vec<ImageInstances>, Vec<String>) {
+    let empty = Archive { path: path.to_owned(), images: BTreeMap::new(), problems: Vec::new() };
+    let mut archive = match Archive::scan(path) {
+        Ok(archive) => archive,
+        Err(error) => return (number, empty, Vec::new(), vec![error.to_string()]),
+    };
+    let mut problems = std::mem::take(&mut archive.problems);
+    let mut images = Vec::new();
+    match archive.reader() {
+        Ok(mut reader) => {
+            for key in archive.images.keys() {
+                let mut member = |kind| reader.read(key, kind);
+                let parsed = member(MemberKind::Gt).and_then(|(gt, gt_place)| {
+                    let (info, info_place) = member(MemberKind::GtInfo)?;
+                    let gt: Vec<GtRecord> = from_json(&gt, &gt_place)?;
+                    let info: Vec<GtInfoRecord> = from_json(&info, &info_place)?;
+                    check_counts(gt.len(), info.len(), &info_place)?;
+                    Ok((gt, info))
+                });
+                match parsed {
+                    Ok((gt, info)) => images.push((key.clone(), instance_refs(&gt, &info))),
+                    Err(error) => problems.push(format!("{error}, image skipped")),
+                }
+            }
+        }
+        Err(error) => problems.push(error.to_string()),
+    }
+    (number, archive, images, problems)
+}
+
+fn instance_refs(gt: &[GtRecord], info: &[GtInfoRecord]) -> Vec<InstanceRef> {
+    let pairs = gt.iter().zip(info).enumerate();
+    pairs
+        .map(|(i, (gt, info))| InstanceRef {
+            image: 0,
+            instance: i as u32,
+            obj_id: gt.obj_id,
+            visib_fract: info.visib_fract as f32,
+            px_count_visib: info.px_count_visib,
+        })
+        .collect()
+}

@@ -1,0 +1,73 @@
+//! What the colour renderer draws. World frame: z up, table top at z = 0, metres.
+
+use std::sync::Arc;
+
+use image::RgbImage;
+use nalgebra::Vector3;
+
+use crate::{geometry::Pose, mesh::TriangleMesh};
+
+/// Reflection properties of a whole object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Finish {
+    /// 0 mirror .. 1 matt.
+    pub roughness: f32,
+    /// 0 dielectric .. 1 metal.
+    pub metallic: f32,
+}
+
+/// A posed mesh. The mesh carries normals, and texture or vertex colours.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    pub mesh: Arc<TriangleMesh>,
+    pub finish: Finish,
+    pub t_world_object: Pose,
+}
+
+/// A spherical light.
+#[derive(Clone, Copy, Debug)]
+pub struct Light {
+    pub position: Vector3<f32>,
+    /// Metres; a larger light casts softer shadows.
+    pub radius: f32,
+    /// Irradiance at the scene's centre on a surface facing the light, linear RGB.
+    pub color: [f32; 3],
+}
+
+/// A repeating picture on a flat surface.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    pub picture: Arc<RgbImage>,
+    /// Side of the picture, metres.
+    pub tile: f32,
+    /// Direction of the picture's rows, radians.
+    pub angle: f32,
+    pub finish: Finish,
+}
+
+/// A table in a box-shaped room.
+#[derive(Clone, Debug)]
+pub struct Room {
+    pub table: Surface,
+    /// Half extents of the table top in x and y, metres.
+    pub table_half: [f32; 2],
+    pub table_angle: f32,
+    pub floor: Surface,
+    pub wall: Surface,
+    /// Floor below the table top, metres.
+    pub floor_drop: f32,
+    /// Half side of the room and height of the ceiling above the table, metres.
+    pub half: f32,
+    pub ceiling: f32,
+}
+
+/// Everything in front of the camera.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    pub objects: Vec<Placed>,
+    pub room: Room,
+    pub lights: Vec<Light>,
+    /// Ambient radiance from above and from below, linear RGB.
+    pub sky: [f32; 3],
+    pub ground: [f32; 3],
+}

@@ -1,0 +1,113 @@
+//! Shadow maps with soft edges. One map per light serves all views of a scene.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{
+    raster::{self, Window},
+    scene::{Light, Placed},
+};
+use crate::geometry::{Intrinsics, Pose};
+
+const SIZE: i32 = 512;
+
+/// Depth of the objects as seen from a light.
+pub(super) struct ShadowMap {
+    rotation: Matrix3<f32>,
+    translation: Vector3<f32>,
+    focal: f32,
+    center: f32,
+    /// Nearest depth, 0 where the light meets no object.
+    depth: Vec<f32>,
+    light_radius: f32,
+}
+
+/// Offsets of the filter taps in the unit disc.
+const TAPS: [[f32; 2]; 8] = [
+    [0.12, 0.31],
+    [-0.42, 0.18],
+    [0.25, -0.51],
+    [-0.31, -0.38],
+    [0.71, 0.22],
+    [-0.24, 0.79],
+    [-0.86, -0.21],
+    [0.47, -0.80],
+];
+
+impl ShadowMap {
+    /// `center` and `radius` bound the objects.
+    pub fn new(light: &Light, objects: &[Placed], center: &Vector3<f32>, radius: f32) -> Self {
+        let distance = (light.position - center).norm().max(radius * 1.05);
+        let z = (center - light.position).normalize();
+        let helper = if z.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
+        let x = helper.cross(&z).normalize();
+        let rotation = Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
+        let translation = -(rotation * light.position);
+        let tangent = radius / (distance * distance - radius * radius).max(1e-6).sqrt();
+        let focal = (SIZE as f32 * 0.5 - 4.0) / tangent;
+        let middle = SIZE as f32 * 0.5;
+        let t_light_world = Pose::new(rotation.cast(), translation.cast());
+        let intrinsics =
+            Intrinsics { fx: focal.into(), fy: focal.into(), cx: middle.into(), cy: middle.into() };
+        let window = Window { min: [0, 0], max: [SIZE, SIZE] };
+        let mut inverse = vec![0f32; (SIZE * SIZE) as usize];
+        for object in objects {
+            let mesh = &object.mesh;
+            let projected =
+                raster::project(&mesh.vertices, &(t_light_world * object.t_world_object), &intrinsics);
+            for face in &mesh.faces {
+                raster::triangle(face.map(|i| projected[i as usize]), &window, |f| {
+                    let cell = &mut inverse[(f.row * SIZE + f.col) as usize];
+                    *cell = cell.max(f.inv_z);
+                });
+            }
+        }
+        let depth = inverse.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect();
+        Self { rotation, translation, focal, center: middle, depth, light_radius: light.radius }
+    }
+
+    fn blocker(&self, u: f32, v: f32) -> f32 {
+        let (col, row) = (u.round() as i32, v.round() as i32);
+        if col < 0 || row < 0 || col >= SIZE || row >= SIZE {
+            return 0.0;
+        }
+        self.depth[(row * SIZE + col) as usize]
+    }
+
+    /// Share of the light that reaches a world point; `turn` rotates the filter taps.
+    pub fn visibility(&self, point: &Vector3<f32>, normal: &Vector3<f32>, turn: [f32; 2]) -> f32 {
+        // Moved off the surface by about two texels, so that a surface does not shade itself.
+        let offset = 0.0015 + 2.0 / self.focal;
+        let p = self.rotation * (point + normal * offset) + self.translation;
+        if p.z <= 0.05 {
+            return 1.0;
+        }
+        let (u, v) = (self.focal * p.x / p.z + self.center, self.focal * p.y / p.z + self.center);
+        let bias = 0.001 + 0.002 * p.z / self.focal * SIZE as f32 / 256.0;
+        let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, 24.0);
+        let tap = |k: usize, size: f32| {
+            let [x, y] = TAPS[k];
+            let (dx, dy) = (turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y);
+            self.blocker(u + dx * size, v + dy * size)
+        };
+        let (mut sum, mut count) = (0f32, 0f32);
+        for k in 0..TAPS.len() {
+            let depth = tap(k, search);
+            if depth > 0.0 && depth < p.z - bias {
+                sum += depth;
+                count += 1.0;
+            }
+        }
+        if count == 0.0 {
+            return 1.0;
+        }
+        // Width of the penumbra from similar triangles (percentage-closer soft shadows, Fernando 2005).
+        let blocker = sum / count;
+        let penumbra = self.light_radius * (p.z - blocker) / blocker;
+        let size = (self.focal * penumbra / p.z).clamp(0.7, 40.0);
+        let lit = (0..TAPS.len()).filter(|&k| {
+            let depth = tap(k, size);
+            depth <= 0.0 || depth >= p.z - bias
+        });
+        lit.count() as f32 / TAPS.len() as f32
+    }
+}

@@ -1,0 +1,60 @@
+//! Bilinear lookup in sRGB pictures, result in linear light.
+
+use image::RgbImage;
+use std::sync::OnceLock;
+
+/// Linear-light value of every 8-bit sRGB code.
+fn linear_table() -> &'static [f32; 256] {
+    static TABLE: OnceLock<[f32; 256]> = OnceLock::new();
+    TABLE.get_or_init(|| std::array::from_fn(|code| srgb_to_linear(code as f32 / 255.0)))
+}
+
+pub fn srgb_to_linear(c: f32) -> f32 {
+    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+}
+
+pub fn linear_to_srgb(c: f32) -> f32 {
+    let c = c.clamp(0.0, 1.0);
+    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// 8-bit colour to linear light.
+pub fn color_to_linear(color: [u8; 3]) -> [f32; 3] {
+    let table = linear_table();
+    color.map(|c| table[c as usize])
+}
+
+/// How coordinates outside 0..1 are treated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Wrap {
+    Clamp,
+    Repeat,
+}
+
+/// Colour at texture coordinates (origin bottom left), linear light.
+pub fn sample(picture: &RgbImage, uv: [f32; 2], wrap: Wrap) -> [f32; 3] {
+    let (w, h) = (picture.width() as i32, picture.height() as i32);
+    if w == 0 || h == 0 {
+        return [0.5; 3];
+    }
+    let [u, v] = match wrap {
+        Wrap::Clamp => uv.map(|x| x.clamp(0.0, 1.0)),
+        Wrap::Repeat => uv.map(|x| x - x.floor()),
+    };
+    let (x, y) = (u * w as f32 - 0.5, (1.0 - v) * h as f32 - 0.5);
+    let (x0, y0) = (x.floor(), y.floor());
+    let (ax, ay) = (x - x0, y - y0);
+    let fit = |i: i32, n: i32| match wrap {
+        Wrap::Clamp => i.clamp(0, n - 1),
+        Wrap::Repeat => i.rem_euclid(n),
+    } as usize;
+    let (cols, rows) =
+        ([fit(x0 as i32, w), fit(x0 as i32 + 1, w)], [fit(y0 as i32, h), fit(y0 as i32 + 1, h)]);
+    let (raw, table) = (picture.as_raw(), linear_table());
+    let texel = |row: usize, col: usize, k: usize| table[raw[3 * (row * w as usize + col) + k] as usize];
+    std::array::from_fn(|k| {
+        let top = texel(rows[0], cols[0], k) * (1.0 - ax) + texel(rows[0], cols[1], k) * ax;
+        let bottom = texel(rows[1], cols[0], k) * (1.0 - ax) + texel(rows[1], cols[1], k) * ax;
+        top * (1.0 - ay) + bottom * ay
+    })
+}

@@ -1,0 +1,218 @@
+//! One view of a scene: visibility, then shading of every sample.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{
+    buffer::{Sample, VisibilityBuffer},
+    scene::{Finish, Light, Placed, Scene},
+    shading::Shaded,
+    shadow::ShadowMap,
+    texture::{self, Wrap},
+};
+use crate::{
+    frame::DepthMap,
+    geometry::{Intrinsics, Pose},
+};
+
+/// A pinhole camera in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Camera {
+    pub t_camera_world: Pose,
+    pub intrinsics: Intrinsics,
+    pub width: u32,
+    pub height: u32,
+}
+
+/// A rendered view. All lists are row-major `[height, width]`.
+#[derive(Clone, Debug)]
+pub struct Rendering {
+    /// Linear radiance, averaged over the samples of a pixel.
+    pub radiance: Vec<[f32; 3]>,
+    /// Exact depth at pixel centres, surroundings included.
+    pub depth: DepthMap,
+    /// 0 for the surroundings, index into the scene's objects + 1 otherwise.
+    pub ids: Vec<u16>,
+    /// Cosine between the surface normal and the direction to the camera.
+    pub incidence: Vec<f32>,
+    /// Luminance of the surface colour, linear.
+    pub albedo: Vec<f32>,
+    pub finish: Vec<Finish>,
+}
+
+/// A scene with what its views share.
+pub struct SceneRenderer<'a> {
+    scene: &'a Scene,
+    shadows: Vec<ShadowMap>,
+    /// Large light straight above: how open the sky is.
+    sky: ShadowMap,
+    center: Vector3<f32>,
+}
+
+struct Surfel {
+    point: Vector3<f32>,
+    normal: Vector3<f32>,
+    albedo: [f32; 3],
+    finish: Finish,
+}
+
+impl<'a> SceneRenderer<'a> {
+    pub fn new(scene: &'a Scene) -> Self {
+        let (center, radius) = bounding_sphere(&scene.objects);
+        let map = |light: &Light| ShadowMap::new(light, &scene.objects, &center, radius);
+        let above = Light { position: center + Vector3::z() * 2.0, radius: 0.9, color: [1.0; 3] };
+        Self { scene, shadows: scene.lights.iter().map(map).collect(), sky: map(&above), center }
+    }
+
+    /// Renders with `density`² colour samples per pixel.
+    pub fn render(&self, camera: &Camera, density: u32) -> Rendering {
+        let pixels = VisibilityBuffer::new(&self.scene.objects, camera, 1);
+        let mut out = Rendering {
+            radiance: self.radiance(camera, density),
+            depth: DepthMap::zeros(camera.width, camera.height),
+            ids: vec![0; pixels.samples.len()],
+            incidence: vec![0.0; pixels.samples.len()],
+            albedo: vec![0.0; pixels.samples.len()],
+            finish: vec![Finish { roughness: 1.0, metallic: 0.0 }; pixels.samples.len()],
+        };
+        let rays = Rays::new(camera, &pixels.intrinsics);
+        for (i, sample) in pixels.samples.iter().enumerate() {
+            let direction = rays.direction(i as u32 % pixels.width, i as u32 / pixels.width);
+            let (z, on_object) = self.nearest(&rays.origin, &direction, sample);
+            let surfel = self.surfel(&rays.origin, &direction, sample, on_object);
+            out.depth.data[i] = z;
+            out.ids[i] = if on_object { sample.object as u16 + 1 } else { 0 };
+            out.incidence[i] = -surfel.normal.dot(&direction) / direction.norm();
+            out.albedo[i] = luminance(&surfel.albedo);
+            out.finish[i] = surfel.finish;
+        }
+        out
+    }
+
+    fn radiance(&self, camera: &Camera, density: u32) -> Vec<[f32; 3]> {
+        let buffer = VisibilityBuffer::new(&self.scene.objects, camera, density);
+        let rays = Rays::new(camera, &buffer.intrinsics);
+        let (width, per_pixel) = (camera.width as usize, (density * density) as f32);
+        let mut sums = vec![[0f32; 3]; width * camera.height as usize];
+        for (i, sample) in buffer.samples.iter().enumerate() {
+            let (col, row) = (i as u32 % buffer.width, i as u32 / buffer.width);
+            let direction = rays.direction(col, row);
+            let (_, on_object) = self.nearest(&rays.origin, &direction, sample);
+            let surfel = self.surfel(&rays.origin, &direction, sample, on_object);
+            let color = self.shade(&surfel, &(-direction.normalize()), filter_turn(col, row));
+            let sum = &mut sums[(row / density) as usize * width + (col / density) as usize];
+            for k in 0..3 {
+                // A clipped sample keeps its edge smooth; an unclipped highlight would turn the whole pixel white.
+                sum[k] += color[k].min(4.0) / per_pixel;
+            }
+        }
+        sums
+    }
+
+    /// Depth along the optical axis and whether an object is in front of the room.
+    fn nearest(&self, origin: &Vector3<f32>, direction: &Vector3<f32>, sample: &Sample) -> (f32, bool) {
+        let room = self.scene.room.distance(origin, direction);
+        let on_object = sample.inv_z * room > 1.0;
+        (if on_object { 1.0 / sample.inv_z } else { room }, on_object)
+    }
+
+    fn surfel(
+        &self,
+        origin: &Vector3<f32>,
+        direction: &Vector3<f32>,
+        sample: &Sample,
+        on_object: bool,
+    ) -> Surfel {
+        if !on_object {
+            let hit = self.scene.room.cast(origin, direction);
+            let point = origin + direction * hit.t;
+            return Surfel { point, normal: hit.normal, albedo: hit.albedo, finish: hit.finish };
+        }
+        let placed = &self.scene.objects[sample.object as usize];
+        let mesh = &placed.mesh;
+        let face = mesh.faces[sample.face as usize].map(|i| i as usize);
+        let [b, c] = sample.weights;
+        let weights = [1.0 - b - c, b, c];
+        let mix =
+            |k: usize, of: &dyn Fn(usize, usize) -> f32| (0..3).map(|j| weights[j] * of(face[j], k)).sum();
+        let local: Vector3<f32> = Vector3::from_fn(|k, _| mix(k, &|v, k| mesh.normals[v][k]));
+        let mut normal = (placed.t_world_object.rotation.cast::<f32>() * local).normalize();
+        if normal.dot(direction) > 0.0 {
+            normal = -normal;
+        }
+        let albedo = match &mesh.texture {
+            Some(picture) if !mesh.uvs.is_empty() => {
+                let uv = [mix(0, &|v, k| mesh.uvs[v][k]), mix(1, &|v, k| mesh.uvs[v][k])];
+                texture::sample(picture, uv, Wrap::Repeat)
+            }
+            _ if !mesh.colors.is_empty() => texture::color_to_linear(mesh.colors[face[0]]),
+            _ => [0.5; 3],
+        };
+        Surfel { point: origin + direction / sample.inv_z, normal, albedo, finish: placed.finish }
+    }
+
+    fn shade(&self, surfel: &Surfel, view: &Vector3<f32>, turn: [f32; 2]) -> [f32; 3] {
+        let shaded = Shaded { normal: &surfel.normal, view, albedo: surfel.albedo, finish: surfel.finish };
+        let open = self.sky.visibility(&surfel.point, &surfel.normal, turn);
+        let mut color = shaded.ambient(&self.scene.sky, &self.scene.ground, 0.35 + 0.65 * open);
+        for (light, shadow) in self.scene.lights.iter().zip(&self.shadows) {
+            let to_light = light.position - surfel.point;
+            let squared = to_light.norm_squared();
+            let direction = to_light / squared.sqrt();
+            let Some((diffuse, specular)) = shaded.reflect(&direction) else { continue };
+            let visible = shadow.visibility(&surfel.point, &surfel.normal, turn);
+            let falloff = (light.position - self.center).norm_squared() / squared * visible;
+            for k in 0..3 {
+                color[k] += light.color[k] * falloff * (diffuse[k] + specular[k]);
+            }
+        }
+        color
+    }
+}
+
+/// Viewing rays in the world; `origin + z * direction` lies at depth z.
+struct Rays {
+    origin: Vector3<f32>,
+    rotation: Matrix3<f32>,
+    intrinsics: Intrinsics,
+}
+
+impl Rays {
+    fn new(camera: &Camera, intrinsics: &Intrinsics) -> Self {
+        let t_world_camera = camera.t_camera_world.inverse();
+        Self {
+            origin: t_world_camera.translation.cast(),
+            rotation: t_world_camera.rotation.cast(),
+            intrinsics: *intrinsics,
+        }
+    }
+
+    fn direction(&self, col: u32, row: u32) -> Vector3<f32> {
+        let p = self.intrinsics.back_project(col.into(), row.into(), 1.0);
+        self.rotation * p.coords.cast::<f32>()
+    }
+}
+
+/// Rotation (cos, sin) of the shadow filter, varying from sample to sample so that banding becomes grain.
+fn filter_turn(col: u32, row: u32) -> [f32; 2] {
+    let hash = (col.wrapping_mul(0x9E37_79B1) ^ row.wrapping_mul(0x85EB_CA77)).wrapping_mul(0xC2B2_AE3D);
+    let angle = (hash >> 16) as f32 * (std::f32::consts::TAU / 65536.0);
+    [angle.cos(), angle.sin()]
+}
+
+pub(super) fn luminance(c: &[f32; 3]) -> f32 {
+    0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]
+}
+
+fn bounding_sphere(objects: &[Placed]) -> (Vector3<f32>, f32) {
+    let spheres: Vec<(Vector3<f32>, f32)> = objects
+        .iter()
+        .map(|o| {
+            let bounds = o.mesh.bounds();
+            let center = Vector3::from(o.t_world_object.transform_f32(&bounds.center()));
+            (center, 0.5 * Vector3::from(bounds.size()).norm())
+        })
+        .collect();
+    let count = spheres.len().max(1) as f32;
+    let center = spheres.iter().map(|s| s.0).sum::<Vector3<f32>>() / count;
+    (center, spheres.iter().map(|s| (s.0 - center).norm() + s.1).fold(0.05, f32::max))
+}

@@ -1,0 +1,21 @@
+//! Errors of data generation.
+
+use std::path::PathBuf;
+
+use crate::{formats::FormatError, mesh::MeshError};
+
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{}: no ply, obj, stl, glb or gltf files found", folder.display())]
+    NoMeshes { folder: PathBuf },
+    #[error("synth.{field} is {value}, expected {expected}")]
+    Config { field: &'static str, value: String, expected: &'static str },
+    #[error("{}: holds data of another configuration ({difference}); choose another folder or remove it", folder.display())]
+    OtherConfig { folder: PathBuf, difference: String },
+}

@@ -1,0 +1,115 @@
+//! Dropping objects on the table with rigid-body physics.
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use rand_chacha::ChaCha8Rng;
+use rapier3d::prelude::*;
+
+use super::{object::SynthObject, random::Draw};
+use crate::geometry::Pose;
+
+const STEP: f32 = 1.0 / 100.0;
+/// Longest simulated time, seconds.
+const LONGEST: f32 = 2.5;
+
+/// Drops the objects; `None` for one that left the table or whose simulation failed.
+///
+/// With `tumbling` the simulation stops shortly after the first contacts, so that objects stand on edges and corners.
+pub(super) fn drop_on_table(
+    objects: &[&SynthObject],
+    tumbling: bool,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Option<Pose>> {
+    let mut bodies = RigidBodySet::new();
+    let mut colliders = ColliderSet::new();
+    let ground = ColliderBuilder::halfspace(Vector3::z_axis()).friction(0.9);
+    colliders.insert(ground);
+    let size = |o: &SynthObject| Vector3::from(o.mesh.bounds().size()).norm();
+    let mean_size = objects.iter().map(|o| size(o)).sum::<f32>() / objects.len().max(1) as f32;
+    let spread = mean_size * rng.between(0.45, 0.85) * (objects.len() as f32).sqrt();
+    let friction = rng.between(0.4, 0.9);
+    let mut level = 0.0;
+    let handles: Vec<Option<RigidBodyHandle>> = objects
+        .iter()
+        .map(|object| {
+            let radius = 0.5 * size(object);
+            let (angle, distance) = (rng.between(0.0, std::f32::consts::TAU), spread * rng.between(0.0, 1.0).sqrt());
+            level += radius * rng.between(0.25, 0.7);
+            let place = Vector3::new(distance * angle.cos(), distance * angle.sin(), level + radius);
+            let turn = rng.unit_vector() * rng.between(0.0, std::f32::consts::PI);
+            let collider = ColliderBuilder::convex_hull(&object.hull)?;
+            let body = RigidBodyBuilder::dynamic()
+                .pose(Isometry3::new(place, turn))
+                .angvel(rng.unit_vector() * rng.between(0.0, 3.0))
+                .linear_damping(0.3)
+                .angular_damping(1.5);
+            let handle = bodies.insert(body);
+            let collider = collider.density(400.0).friction(friction).restitution(0.05);
+            colliders.insert_with_parent(collider, handle, &mut bodies);
+            Some(handle)
+        })
+        .collect();
+    let end = if tumbling { 0.15 + level * 0.6 + rng.between(0.05, 0.45) } else { LONGEST };
+    simulate(&mut bodies, &mut colliders, end.min(LONGEST));
+    let pose = |handle: &Option<RigidBodyHandle>| {
+        let isometry = bodies.get((*handle)?)?.position();
+        to_pose(isometry, spread + 3.0 * mean_size)
+    };
+    handles.iter().map(pose).collect()
+}
+
+fn simulate(bodies: &mut RigidBodySet, colliders: &mut ColliderSet, duration: f32) {
+    let mut parameters = IntegrationParameters { dt: STEP, length_unit: 0.1, ..Default::default() };
+    parameters.num_solver_iterations = 6.try_into().unwrap_or(parameters.num_solver_iterations);
+    let mut pipeline = PhysicsPipeline::new();
+    let mut islands = IslandManager::new();
+    let mut broad_phase = DefaultBroadPhase::new();
+    let mut narrow_phase = NarrowPhase::new();
+    let (mut joints, mut multibody) = (ImpulseJointSet::new(), MultibodyJointSet::new());
+    let mut ccd = CCDSolver::new();
+    let mut time = 0.0;
+    while time < duration {
+        pipeline.step(
+            &Vector3::new(0.0, 0.0, -9.81),
+            &parameters,
+            &mut islands,
+            &mut broad_phase,
+            &mut narrow_phase,
+            bodies,
+            colliders,
+            &mut joints,
+            &mut multibody,
+            &mut ccd,
+            &(),
+            &(),
+        );
+        time += STEP;
+        let still = |b: &RigidBody| b.linvel().norm() < 0.01 && b.angvel().norm() < 0.1;
+        if time > 0.4 && bodies.iter().all(|(_, b)| b.is_sleeping() || still(b)) {
+            break;
+        }
+    }
+}
+
+fn to_pose(isometry: &Isometry3<f32>, reach: f32) -> Option<Pose> {
+    let t = isometry.translation.vector;
+    let inside = t.iter().all(|x| x.is_finite()) && t.xy().norm() < reach && t.z > -0.01 && t.z < 1.5;
+    let rotation: UnitQuaternion<f64> = isometry.rotation.cast();
+    // Normalised again in double precision: a written rotation is orthogonal to the last digits.
+    let rotation = UnitQuaternion::new_normalize(rotation.into_inner());
+    inside.then(|| Pose::new(*rotation.to_rotation_matrix().matrix(), t.cast()))
+}
+
+/// Objects side by side in any orientation, touching the table: what is left when physics fails.
+pub(super) fn lay_out(objects: &[&SynthObject], rng: &mut ChaCha8Rng) -> Vec<Option<Pose>> {
+    let columns = (objects.len() as f32).sqrt().ceil() as usize;
+    let cell = objects.iter().map(|o| Vector3::from(o.mesh.bounds().size()).norm()).fold(0.05, f32::max);
+    let place = |(i, object): (usize, &&SynthObject)| {
+        let turn = rng.unit_vector() * rng.between(0.0, std::f32::consts::PI);
+        let rotation = UnitQuaternion::from_scaled_axis(turn.cast::<f64>()).to_rotation_matrix();
+        let at = |k: usize| (k as f32 - 0.5 * (columns - 1) as f32) * cell;
+        let lowest = object.hull.iter().map(|p| (rotation * p.cast::<f64>()).z).fold(f64::MAX, f64::min);
+        let (x, y) = (at(i % columns), at(i / columns));
+        Some(Pose::new(*rotation.matrix(), Vector3::new(x.into(), y.into(), -lowest)))
+    };
+    objects.iter().enumerate().map(place).collect()
+}
