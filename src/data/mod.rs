@@ -3,17 +3,27 @@
 //! Host arrays only. Random numbers come from one stream per item, (seed, index), so any thread prepares the same
 //! item.
 
+mod augmentation;
+mod color;
 mod crop;
+mod dilation;
 mod error;
+mod frame_cache;
+mod label;
+mod pairs;
 mod pose_noise;
 mod prepare;
 mod selection;
+mod stream;
 
 pub use crop::CropBox;
 pub use error::DataError;
+pub use label::{overlap_share, view_to_view};
+pub use pairs::{FrameSource, PairKey, PairSampler, TrainSample};
 pub use pose_noise::{PoseNoise, draw_rotation_std};
 pub use prepare::{
     CloudInput, PreparedReference, metric_pose, normalised_pose, positional_groups, prepare_query,
     prepare_reference, query_from_points, reference_from_points,
 };
 pub use selection::{MAX_RADIUS, MIN_RADIUS};
+pub use stream::BatchStream;

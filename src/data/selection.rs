@@ -2,9 +2,11 @@
 
 use image::RgbImage;
 use rand::{Rng, seq::index};
+use rand_chacha::ChaCha8Rng;
 
 use super::{
     DataError,
+    color::recolor,
     crop::{CropBox, normalised_resize},
 };
 use crate::{
@@ -40,13 +42,13 @@ struct MaskedView {
 }
 
 /// How a view's pixels are taken.
-pub struct ViewRules<'a> {
+pub struct ViewRules {
     /// Masked pixels without depth become the point (0, 0, 0) (quirk).
     pub keep_zero_depth: bool,
     /// Fewest points that may remain.
     pub min_points: usize,
-    /// Change of the colour crop before masking.
-    pub recolor: Option<&'a mut dyn FnMut(&mut RgbImage)>,
+    /// Stream of the colour changes before masking; `None` leaves the colours.
+    pub recolor: Option<ChaCha8Rng>,
 }
 
 /// Samples `config.reference_points` points of a reference view; also returns their radius.
@@ -127,8 +129,8 @@ fn masked_view(
     }
 
     let mut image = crop.cut(&frame.rgb);
-    if let Some(recolor) = rules.recolor {
-        recolor(&mut image);
+    if let Some(mut stream) = rules.recolor {
+        recolor(&mut image, &mut stream);
     }
     let mut masked = RgbImage::new(crop.side, crop.side);
     let mut points = Vec::with_capacity(inside.len());
