@@ -74,6 +74,12 @@ impl DeviceChoice {
     }
 }
 
+/// Whether tensors of this device live in host memory, so that a kernel on slices costs no transfer.
+pub fn is_host(device: &Device) -> bool {
+    let plain = device.clone().inner();
+    [flex(), ndarray()].into_iter().flatten().any(|(host, _)| host == plain)
+}
+
 type Opened = Result<(Device, DeviceChoice), DeviceError>;
 
 #[cfg(feature = "flex")]

@@ -1,6 +1,6 @@
 //! The loss terms, one value per pair of the batch.
 
-use burn::tensor::{Tensor, activation::log_sigmoid};
+use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, activation::log_sigmoid};
 
 use super::labels::MatchLabels;
 use crate::{config::LossConfig, model::BlockOutput};
@@ -8,25 +8,47 @@ use crate::{config::LossConfig, model::BlockOutput};
 /// InfoNCE in both directions: `[B]`.
 ///
 /// The similarities are cosines over a temperature, so they are bounded by 1/temperature and their exponentials can be
-/// summed without subtracting the maximum; rows and columns share one exponential.
+/// summed without subtracting the maximum; rows and columns share one exponential. The gradient with respect to the
+/// similarities is written down (softmax minus target, in both directions) instead of taped, which leaves a fraction of
+/// the passes over the `[B, 1 + N, 1 + M]` matrices.
 pub fn info_nce(similarity: &Tensor<3>, labels: &MatchLabels, config: &LossConfig) -> Tensor<1> {
     let [batch, rows, columns] = similarity.dims();
-    let exp = similarity.clone().exp();
-    // Query points: every column, background included.
-    let row_log = exp.clone().sum_dim(2).log().slice([0..batch, 1..rows, 0..1]); // [B, N, 1]
-    let row_true = similarity
-        .clone()
-        .slice([0..batch, 1..rows, 0..columns])
-        .gather(2, labels.query.clone().unsqueeze_dim::<3>(2)); // [B, N, 1]
-    let query = (row_log - row_true).reshape([batch, rows - 1]).mean_dim(1);
-    let column_log = exp.sum_dim(1).log().slice([0..batch, 0..1, 1..columns]); // [B, 1, M]
-    let column_true = similarity
-        .clone()
-        .slice([0..batch, 0..rows, 1..columns])
-        .gather(1, labels.reference.clone().unsqueeze_dim::<3>(1)); // [B, 1, M]
-    let reference = (column_log - column_true).reshape([batch, columns - 1]).mean_dim(1);
-    let sum = (query + reference).reshape([batch]);
-    if config.halve_info_nce { sum * 0.5 } else { sum }
+    let (n, m) = (rows - 1, columns - 1);
+    let half = if config.halve_info_nce { 0.5 } else { 1.0 };
+    let s = similarity.clone().inner();
+    let exp = s.clone().exp();
+    let row_sum = exp.clone().sum_dim(2); // [B, 1 + N, 1]
+    let column_sum = exp.clone().sum_dim(1); // [B, 1, 1 + M]
+
+    // Targets of the background's own row and column are irrelevant: their weight is 0.
+    let query = with_background(labels.query.clone()).unsqueeze_dim::<3>(2); // [B, 1 + N, 1]
+    let reference = with_background(labels.reference.clone()).unsqueeze_dim::<3>(1); // [B, 1, 1 + M]
+    let row_weight = point_weights(batch, n, half, &s.device()).unsqueeze_dim::<3>(2);
+    let column_weight = point_weights(batch, m, half, &s.device()).unsqueeze_dim::<3>(1);
+    let row_loss = (row_sum.clone().log() - s.clone().gather(2, query.clone())) * row_weight.clone();
+    let column_loss = (column_sum.clone().log() - s.gather(1, reference.clone())) * column_weight.clone();
+    let value = row_loss.reshape([batch, rows]).sum_dim(1) + column_loss.reshape([batch, columns]).sum_dim(1);
+    let value = value.reshape([batch]);
+    if !similarity.is_autodiff() {
+        return value;
+    }
+    let gradient = (exp * (row_weight.clone() / row_sum + column_weight.clone() / column_sum))
+        .scatter(2, query, row_weight.neg(), IndexingUpdateOp::Add)
+        .scatter(1, reference, column_weight.neg(), IndexingUpdateOp::Add);
+    let linear = (similarity.clone() * gradient).reshape([batch, rows * columns]).sum_dim(1).reshape([batch]);
+    linear.clone() - linear.detach() + value
+}
+
+/// 0 for the background, `half / n` for the `n` points: `[B, 1 + n]`.
+fn point_weights(batch: usize, n: usize, half: f32, device: &Device) -> Tensor<2> {
+    let points = Tensor::full([batch, n], half / n as f32, device);
+    Tensor::cat(vec![Tensor::zeros([batch, 1], device), points], 1)
+}
+
+/// `[B, n] -> [B, 1 + n]` with label 0 in front.
+fn with_background(labels: Tensor<2, Int>) -> Tensor<2, Int> {
+    let [batch, _] = labels.dims();
+    Tensor::cat(vec![Tensor::zeros([batch, 1], &labels.device()), labels], 1)
 }
 
 /// Class-balanced binary cross entropy of logits `[B, n]` against 0/1 targets: positives weigh the negative share,

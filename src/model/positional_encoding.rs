@@ -4,7 +4,7 @@
 use burn::{
     module::Module,
     nn::Linear,
-    tensor::{Tensor, activation::relu},
+    tensor::Tensor,
 };
 
 use super::{batch_norm::RowBatchNorm, init::Initializer};
@@ -76,7 +76,7 @@ impl SharedMlp {
             x = x.slice([0..batch * n * k, 0..inputs]);
         }
         for layer in [&self.layer0, &self.layer1, &self.layer2] {
-            x = relu(layer.normlayer.bn.forward(layer.conv.forward(x), groups.mask.clone()));
+            x = layer.normlayer.bn.linear_relu(&layer.conv, x, groups.mask.clone());
         }
         let width = x.dims()[1];
         // Padding repeats a true neighbour, so the maximum does not see it.
