@@ -10,6 +10,10 @@ pub struct ModelConfig {
     pub image_size: usize,
     /// Reference points sampled before farthest point sampling.
     pub reference_points: usize,
+    /// Reference points farther from the median point than this many median distances are dropped before sampling:
+    /// one stray depth pixel at a silhouette would stretch the radius, the unit of everything. 0: none are, as in
+    /// the release.
+    pub reference_reach: f32,
     /// Points per cloud in the fine stage (N_f).
     pub fine_points: usize,
     /// Points per cloud in the coarse stage (N_c).
@@ -232,6 +236,7 @@ impl Default for ModelConfig {
         Self {
             image_size: 224,
             reference_points: 5000,
+            reference_reach: 0.0,
             fine_points: 2048,
             coarse_points: 196,
             color: ColorConfig::Vit(VitConfig::default()),

@@ -45,6 +45,7 @@ fn model(m: &ModelConfig) -> Result<(), ConfigError> {
     at_least("model.coarse_points", m.coarse_points, 4)?;
     at_least("model.fine_points", m.fine_points, m.coarse_points)?;
     at_least("model.reference_points", m.reference_points, m.fine_points)?;
+    not_negative("model.reference_reach", m.reference_reach.into())?;
     color(&m.color, m.image_size)?;
     let g = &m.geo_embedding;
     positive("model.geo_embedding.sigma_d", g.sigma_d.into())?;
@@ -160,6 +161,7 @@ fn train(t: &TrainConfig) -> Result<(), ConfigError> {
     at_least("train.batch_size", t.batch_size, 1)?;
     at_least("train.accumulation", t.accumulation, 1)?;
     at_least("train.validation_pairs", t.validation_pairs, 1)?;
+    at_least("train.validation_images", t.validation_images, 2)?;
     at_least("train.prefetch", t.prefetch, 1)?;
     positive("train.learning_rate", t.learning_rate)?;
     positive("train.epsilon", t.epsilon.into())?;

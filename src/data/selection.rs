@@ -60,7 +60,7 @@ pub fn select_reference(
     rng: &mut impl Rng,
 ) -> Result<(Selection, f32), DataError> {
     let view = masked_view(frame, mask, config.image_size, rules)?;
-    let kept: Vec<u32> = (0..view.points.len() as u32).collect();
+    let kept = near_the_median(&view.points, config.reference_reach as f64);
     let selection = sample(view, &kept, config.reference_points, rng);
     let (_, radius) = radius_about_mean(&selection.points);
     check_radius(radius)?;
@@ -92,6 +92,23 @@ pub fn select_query(
         return Err(DataError::TooFewPoints { count: kept.len(), total: view.points.len(), limit, minimum });
     }
     Ok(sample(view, &kept, config.fine_points, rng))
+}
+
+/// Indices of the points within `reach` median distances of the median point; all when `reach` is 0.
+fn near_the_median(points: &[[f32; 3]], reach: f64) -> Vec<u32> {
+    let all = 0..points.len() as u32;
+    if reach <= 0.0 || points.is_empty() {
+        return all.collect();
+    }
+    let median = |mut values: Vec<f64>| -> f64 {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let center: [f64; 3] = std::array::from_fn(|i| median(points.iter().map(|p| p[i] as f64).collect()));
+    let distance = |p: &[f32; 3]| (0..3).map(|i| (p[i] as f64 - center[i]).powi(2)).sum::<f64>().sqrt();
+    let distances: Vec<f64> = points.iter().map(distance).collect();
+    let limit = reach * median(distances.clone());
+    all.filter(|&i| distances[i as usize] <= limit).collect()
 }
 
 fn check_radius(radius: f32) -> Result<(), DataError> {
@@ -168,5 +185,20 @@ fn sample(view: MaskedView, kept: &[u32], count: usize, rng: &mut impl Rng) -> S
         points: chosen().map(|i| view.points[i]).collect(),
         choose: chosen().map(|i| view.choose[i]).collect(),
         rgb: view.rgb,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stray_points_are_dropped_by_their_median_distances() {
+        let mut points: Vec<[f32; 3]> =
+            (0..100).map(|i| [0.001 * (i % 10) as f32, 0.001 * (i / 10) as f32, 0.7]).collect();
+        points.push([0.0, 0.0, 0.9]);
+        assert_eq!(near_the_median(&points, 3.0), (0..100).collect::<Vec<_>>());
+        assert_eq!(near_the_median(&points, 0.0).len(), 101);
+        assert!(near_the_median(&[], 3.0).is_empty());
     }
 }

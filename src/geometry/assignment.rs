@@ -6,6 +6,9 @@ use rayon::prelude::*;
 /// Rows per parallel task; fixed, so that sums do not depend on the number of threads.
 const BLOCK: usize = 64;
 
+/// Best column of every row of a block, and the best (weight, row) of every column.
+type BlockLabels = (Vec<u32>, Vec<(f32, u32)>);
+
 /// Soft assignment of `rows - 1` query to `columns - 1` reference points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assignment {
@@ -96,7 +99,7 @@ pub fn match_assignment(similarity: &[f32], overlap_query: &[f32], overlap_refer
         .map(|(&sum, &overlap)| overlap / sum)
         .collect();
 
-    let best: Vec<(Vec<u32>, Vec<(f32, u32)>)> = weights
+    let best: Vec<BlockLabels> = weights
         .par_chunks_mut(BLOCK * columns)
         .zip(blocks())
         .zip(row_scale.par_chunks(BLOCK))
