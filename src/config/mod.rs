@@ -35,6 +35,8 @@ pub struct Config {
     pub name: String,
     /// Seed of every random stream: data, initial weights, sampling.
     pub seed: u64,
+    /// The training set when `data.train` names none; the validation set is a smaller one of other objects.
+    pub synth: SynthConfig,
     pub data: DataConfig,
     pub model: ModelConfig,
     pub loss: LossConfig,
@@ -46,6 +48,7 @@ impl Default for Config {
         Self {
             name: "unopose".into(),
             seed: 0,
+            synth: SynthConfig::default(),
             data: DataConfig::default(),
             model: ModelConfig::default(),
             loss: LossConfig::default(),

@@ -32,6 +32,8 @@ pub struct TrainConfig {
     pub validate_minutes: f64,
     /// Pairs in a validation.
     pub validation_pairs: usize,
+    /// Images of the generated validation set.
+    pub validation_images: usize,
     /// Seconds between checkpoints of the whole training state.
     pub checkpoint_seconds: f64,
     /// Threads that prepare pairs. 0: one per core.
@@ -56,6 +58,7 @@ impl Default for TrainConfig {
             validate_every: 5000,
             validate_minutes: 0.0,
             validation_pairs: 64,
+            validation_images: 100,
             checkpoint_seconds: 600.0,
             workers: 0,
             prefetch: 2,

@@ -2,7 +2,9 @@
 
 use std::fmt::Display;
 
-use super::{ColorConfig, Config, ConfigError, DataConfig, LossConfig, MatchingConfig, ModelConfig, TrainConfig};
+use super::{
+    ColorConfig, Config, ConfigError, DataConfig, LossConfig, MatchingConfig, ModelConfig, TrainConfig,
+};
 
 /// Checks every range of the tree; the error names the first field that is outside.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
@@ -123,9 +125,7 @@ fn matching(prefix: &str, m: &MatchingConfig, embedding_dim: usize) -> Result<()
 }
 
 fn data(d: &DataConfig) -> Result<(), ConfigError> {
-    let share = |field: &str, value: f64| {
-        require(field, value, (0.0..=1.0).contains(&value), "in [0, 1]")
-    };
+    let share = |field: &str, value: f64| require(field, value, (0.0..=1.0).contains(&value), "in [0, 1]");
     share("data.min_visible_fraction", d.min_visible_fraction.into())?;
     share("data.min_overlap", d.min_overlap)?;
     share("data.augmentation.color_probability", d.augmentation.color_probability)?;
@@ -139,9 +139,11 @@ fn data(d: &DataConfig) -> Result<(), ConfigError> {
     not_negative("data.augmentation.query_noise", d.augmentation.query_noise)?;
     let noise = &d.pose_noise;
     at_least("data.pose_noise.rotation_std_deg (entries)", noise.rotation_std_deg.len(), 1)?;
-    noise.rotation_std_deg.iter().enumerate().try_for_each(|(i, &std)| {
-        not_negative(&format!("data.pose_noise.rotation_std_deg[{i}]"), std)
-    })?;
+    noise
+        .rotation_std_deg
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, &std)| not_negative(&format!("data.pose_noise.rotation_std_deg[{i}]"), std))?;
     not_negative("data.pose_noise.max_rotation_deg", noise.max_rotation_deg)?;
     not_negative("data.pose_noise.translation_std", noise.translation_std)?;
     not_negative("data.pose_noise.max_translation", noise.max_translation)

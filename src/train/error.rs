@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError,
-    report::ReportError,
+    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError, mesh::MeshError,
+    report::ReportError, synth::SynthError,
 };
 
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +19,10 @@ pub enum TrainError {
     Checkpoint(#[from] CheckpointError),
     #[error(transparent)]
     Data(#[from] DataError),
+    #[error(transparent)]
+    Synth(#[from] SynthError),
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("{}: {message}", path.display())]

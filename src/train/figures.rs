@@ -14,7 +14,6 @@ use super::{
 use crate::{
     config::Config,
     data::CloudInput,
-    formats::megapose::ShardDataset,
     frame::RgbdFrame,
     geometry::Pose,
     model::UnoPose,
@@ -91,7 +90,6 @@ pub fn write_pose_sheet(
     model: &UnoPose,
     config: &Config,
     validation: &Validation,
-    dataset: &ShardDataset,
     device: &Device,
 ) -> Result<(), TrainError> {
     let samples = validation.samples(0..validation.truths().len().min(SHOWN_PAIRS))?;
@@ -100,8 +98,8 @@ pub fn write_pose_sheet(
         let estimates = estimate(model, config, std::slice::from_ref(sample), index as u64, device);
         let Some(estimate) = estimates.first() else { continue };
         let truth = true_pose(sample);
-        let reference = dataset.load(sample.key.reference_image)?;
-        let query = dataset.load(sample.key.query_image)?;
+        let reference = validation.source().load(sample.key.reference_image)?;
+        let query = validation.source().load(sample.key.query_image)?;
         let cloud = metric_points(&sample.reference.cloud, sample.reference.radius);
         let pose = [Pose::identity(), estimate.t_query_reference, truth];
         let frames = [&reference.frame, &query.frame, &query.frame];

@@ -50,7 +50,7 @@ pub struct ValidationRecord {
     pub within_5deg_5cm: f64,
     /// Share of pairs within 15 degrees.
     pub within_15deg: f64,
-    /// BOP average recall (mean of MSSD and MSPD recalls) when the objects' meshes are known.
+    /// BOP average recall (mean of the VSD, MSSD and MSPD recalls) when the objects' meshes are known.
     pub average_recall: Option<f64>,
     /// Shares of the coarse pose, before the fine stage.
     pub coarse_within_15deg: f64,

@@ -1,1 +1,27 @@
+//! Training: the loop, the optimizer's state, exact resume, validation, and what a run leaves behind.
+//!
+//! [`train`] does everything `unotrain` does. A run folder holds `best.safetensors` (weights of the best validation),
+//! `last.safetensors` and `state-<step>` (everything a resume needs), `metrics.jsonl`, `curves.svg`, `poses.png` and
+//! the resolved `config.toml`. A resumed run continues bit for bit: weights, moments, averages, schedule and the
+//! position in the stream of pairs are saved, and random numbers belong to pairs, not to the process.
 
+mod datasets;
+mod ema;
+mod error;
+mod failure;
+mod figures;
+mod gradients;
+mod journal;
+mod optimization;
+mod progress;
+mod run;
+mod schedule;
+mod state;
+mod validation;
+
+pub use error::TrainError;
+pub use journal::{Event, Journal, StepRecord, ValidationRecord};
+pub use optimization::Optimization;
+pub use run::{Ending, TrainOptions, TrainOutcome, train};
+pub use schedule::{Schedule, TimeBudget};
+pub use validation::{PoseError, Validation};

@@ -14,7 +14,7 @@ pub struct Progress {
     /// Position when this call began; the rate counts from there.
     first: u64,
     total: u64,
-    last_line: Option<Instant>,
+    last_line: Instant,
     limit: Option<Duration>,
 }
 
@@ -22,9 +22,11 @@ impl Progress {
     pub fn new(label: &'static str, first: u64, total: u64) -> Self {
         let bar = ProgressBar::new(total).with_position(first);
         let template = "{prefix} {bar:28} {pos}/{len} {msg}";
-        bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+        bar.set_style(
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+        );
         bar.set_prefix(label);
-        Self { label, bar, start: Instant::now(), first, total, last_line: None, limit: None }
+        Self { label, bar, start: Instant::now(), first, total, last_line: Instant::now(), limit: None }
     }
 
     /// The step ends after `limit` from now, whatever its count.
@@ -39,9 +41,8 @@ impl Progress {
         let message = self.describe(done, elapsed, note);
         self.bar.set_position(done);
         self.bar.set_message(message.clone());
-        let due = self.last_line.is_none_or(|last| last.elapsed() >= LINE_EVERY);
-        if self.bar.is_hidden() && (due || done == self.total) {
-            self.last_line = Some(Instant::now());
+        if self.bar.is_hidden() && self.last_line.elapsed() >= LINE_EVERY {
+            self.last_line = Instant::now();
             eprintln!("{} {done}/{} {message}", self.label, self.total);
         }
     }

@@ -26,7 +26,7 @@ use super::{
 use crate::{
     checkpoint::{self, Meta},
     config::Config,
-    data::{BatchStream, PairSampler, TrainSample},
+    data::{BatchStream, TrainSample},
     formats::write_atomic,
     loss::{Losses, pair_losses},
     model::{PairTensors, UnoPose},
@@ -80,10 +80,10 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;
         return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
     }
-    let datasets = Datasets::open_or_generate(config, &options.data_root, &options.stop)?;
-    if options.stop.load(Ordering::Relaxed) {
-        return Ok(TrainOutcome { ending: Ending::Interrupted, step: 0, validations: Vec::new() });
-    }
+    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.stop)? else {
+        let step = state::read_progress(&options.out)?.map_or(0, |(step, _)| step);
+        return Ok(TrainOutcome { ending: Ending::Interrupted, step, validations: Vec::new() });
+    };
     Run::begin(config, options, datasets, begin)?.go()
 }
 
@@ -129,12 +129,11 @@ impl<'a> Run<'a> {
         };
         let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), optimization.step())?;
         let validated_step = validations(&events).last().map(|v| v.step);
-        let sampler = datasets.validation_sampler(config)?;
-        let pairs = config.train.validation_pairs;
+        let validation = datasets.validation(config)?;
         Ok(Self {
             config,
             options,
-            validation: Validation::new(Arc::new(sampler), &datasets.validation, pairs)?,
+            validation,
             datasets,
             optimization,
             schedule: Schedule::new(&config.train),
@@ -161,12 +160,12 @@ impl<'a> Run<'a> {
             training: limit.saturating_sub(self.begin.elapsed()).saturating_sub(reserve),
             first_step,
         });
-        let sampler: PairSampler = self.datasets.training_sampler(self.config)?;
+        let sampler = self.datasets.training_sampler(self.config)?;
         let mut batches = BatchStream::new(
             Arc::new(sampler),
             self.progress.next_pair,
             train.batch_size,
-            train.workers,
+            workers(train.workers),
             train.prefetch,
         );
         let mut bar = progress::Progress::new("training", first_step, train.steps)
@@ -227,7 +226,6 @@ impl<'a> Run<'a> {
                 &self.optimization.deployed(),
                 self.config,
                 &self.validation,
-                &self.datasets.validation,
                 &self.options.device,
             )?;
         }
@@ -313,6 +311,12 @@ impl<'a> Run<'a> {
 /// Name of the whole loss among its terms.
 const TOTAL: &str = "total";
 
+/// Threads for data preparation.
+fn workers(configured: usize) -> usize {
+    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+    if configured == 0 { cores() } else { configured }
+}
+
 fn validations(events: &[Event]) -> Vec<ValidationRecord> {
     let of = |event: &Event| match event {
         Event::Validation(record) => Some(record.clone()),
@@ -332,7 +336,9 @@ fn prepare_folder(config: &Config, options: &TrainOptions) -> Result<(), TrainEr
     let last = state::last_path(out);
     if last.exists() {
         let earlier = checkpoint::read_config(&last)?;
-        if let Some((field, theirs, ours)) = checkpoint::differences(&earlier.model, &config.model).into_iter().next() {
+        if let Some((field, theirs, ours)) =
+            checkpoint::differences(&earlier.model, &config.model).into_iter().next()
+        {
             return Err(TrainError::OtherModel { path: last, field, theirs, ours });
         }
     }

@@ -1,6 +1,9 @@
 //! Real pose errors on pairs the network is not trained on.
 
-use std::sync::Arc;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use burn::tensor::Device;
 use rayon::prelude::*;
@@ -8,17 +11,24 @@ use rayon::prelude::*;
 use super::{TrainError, journal::ValidationRecord, progress::Progress};
 use crate::{
     config::Config,
-    data::{CloudInput, PairSampler, PreparedReference, TrainSample, metric_pose},
-    formats::{ObjectSymmetries, megapose::ShardDataset},
+    data::{CloudInput, DataError, FrameSource, PairSampler, PreparedReference, TrainSample, metric_pose},
+    eval::{EvalObject, PoseErrors, TestView},
+    formats::{FormatError, ObjectSymmetries},
     geometry::Pose,
     infer::{PairEstimate, Uniforms, estimate_pairs},
     loss::pair_losses,
     model::{PairTensors, UnoPose},
 };
 
+/// How far behind the measured surface a pixel still counts as visible in VSD, metres (BOP's value).
+const VSD_DELTA: f64 = 0.015;
+
 /// The fixed validation pairs of a run: the first of the sampler's stream, without augmentation.
 pub struct Validation {
-    sampler: Arc<PairSampler>,
+    sampler: PairSampler,
+    source: Arc<dyn FrameSource>,
+    /// Meshes by object; with all of them there is an average recall.
+    objects: BTreeMap<u32, EvalObject>,
     truths: Vec<Truth>,
 }
 
@@ -36,13 +46,19 @@ pub struct PoseError {
     pub translation_m: f64,
 }
 
+impl Truth {
+    /// The query object's pose that an estimated reference-to-query pose amounts to.
+    pub fn implied(&self, t_query_reference: &Pose, estimate: &Pose) -> Pose {
+        *estimate * t_query_reference.inverse() * self.t_query_object
+    }
+}
+
 impl PoseError {
-    /// Of an estimated reference-to-query pose: the query object's pose it implies against the true one.
-    pub fn new(truth: &Truth, t_query_reference: &Pose, estimate: &Pose) -> Self {
-        let implied = *estimate * t_query_reference.inverse() * truth.t_query_object;
+    /// Of an object pose.
+    pub fn new(truth: &Truth, t_query_object: &Pose) -> Self {
         Self {
-            rotation_deg: truth.symmetries.rotation_distance_deg(&truth.t_query_object, &implied),
-            translation_m: truth.t_query_object.translation_distance(&implied),
+            rotation_deg: truth.symmetries.rotation_distance_deg(&truth.t_query_object, t_query_object),
+            translation_m: truth.t_query_object.translation_distance(t_query_object),
         }
     }
 
@@ -52,30 +68,39 @@ impl PoseError {
 }
 
 impl Validation {
-    pub fn new(sampler: Arc<PairSampler>, dataset: &ShardDataset, pairs: usize) -> Result<Self, TrainError> {
-        let truths = (0..pairs as u64)
-            .into_par_iter()
-            .map(|index| {
-                let sample = sampler.sample(index, false)?;
-                let (image, instance) = (sample.key.query_image, sample.key.query_instance);
-                let frame = dataset.load(image)?;
-                let instance = frame.instances.get(instance as usize).ok_or_else(|| {
-                    TrainError::Unusable(format!("validation image {image} has no instance {instance}"))
-                })?;
-                Ok(Truth {
-                    t_query_object: instance.t_camera_object,
-                    symmetries: dataset.symmetries(instance.obj_id).clone(),
-                })
-            })
-            .collect::<Result<_, TrainError>>()?;
-        Ok(Self { sampler, truths })
+    /// The first `pairs` pairs of `sampler`, which draws from `source`. `objects` gives the meshes of the object ids
+    /// it is asked for, as far as they exist.
+    pub fn new(
+        sampler: PairSampler,
+        source: Arc<dyn FrameSource>,
+        pairs: usize,
+        objects: impl FnOnce(BTreeSet<u32>) -> Result<BTreeMap<u32, EvalObject>, TrainError>,
+    ) -> Result<Self, TrainError> {
+        let truth = |index| -> Result<(u32, Truth), TrainError> {
+            let key = sampler.sample(index, false)?.key;
+            let frame = source.load(key.query_image)?;
+            let instance = frame.instances.get(key.query_instance as usize);
+            let absent =
+                || DataError::MissingInstance { image: key.query_image, instance: key.query_instance };
+            let t_query_object = instance.ok_or_else(absent)?.t_camera_object;
+            Ok((key.obj_id, Truth { t_query_object, symmetries: source.symmetries(key.obj_id).clone() }))
+        };
+        let truths: Vec<(u32, Truth)> =
+            (0..pairs as u64).into_par_iter().map(truth).collect::<Result<_, _>>()?;
+        let objects = objects(truths.iter().map(|(obj_id, _)| *obj_id).collect())?;
+        Ok(Self { sampler, source, objects, truths: truths.into_iter().map(|(_, truth)| truth).collect() })
     }
 
     /// Losses and poses of `model` (without autodiff) on all pairs.
-    pub fn run(&self, model: &UnoPose, config: &Config, device: &Device) -> Result<ValidationRecord, TrainError> {
+    pub fn run(
+        &self,
+        model: &UnoPose,
+        config: &Config,
+        device: &Device,
+    ) -> Result<ValidationRecord, TrainError> {
         let mut progress = Progress::new("validating", 0, self.truths.len() as u64);
         let (mut final_errors, mut coarse_errors) = (Vec::new(), Vec::new());
-        let mut loss = 0.0;
+        let (mut loss, mut recalls) = (0.0, Vec::new());
         for (batch_index, truths) in self.truths.chunks(config.train.batch_size).enumerate() {
             let first = batch_index * config.train.batch_size;
             let samples = self.samples(first..first + truths.len())?;
@@ -83,15 +108,43 @@ impl Validation {
             let losses = pair_losses(&config.loss, &model.forward_train(&batch), &batch);
             loss += f64::from(losses.total.into_scalar::<f32>()) * samples.len() as f64;
             let estimates = estimate(model, config, &samples, first as u64, device);
-            for ((truth, sample), estimate) in truths.iter().zip(&samples).zip(&estimates) {
-                let t = true_pose(sample);
-                final_errors.push(PoseError::new(truth, &t, &estimate.t_query_reference));
-                coarse_errors.push(PoseError::new(truth, &t, &estimate.t_query_reference_coarse));
-            }
+            let poses = |of: fn(&PairEstimate) -> Pose| -> Vec<Pose> {
+                let of_pair = |((truth, sample), estimate): ((&Truth, &TrainSample), &PairEstimate)| {
+                    truth.implied(&true_pose(sample), &of(estimate))
+                };
+                truths.iter().zip(&samples).zip(&estimates).map(of_pair).collect()
+            };
+            let (final_poses, coarse_poses) =
+                (poses(|e| e.t_query_reference), poses(|e| e.t_query_reference_coarse));
+            final_errors.extend(truths.iter().zip(&final_poses).map(|(truth, t)| PoseError::new(truth, t)));
+            coarse_errors.extend(truths.iter().zip(&coarse_poses).map(|(truth, t)| PoseError::new(truth, t)));
+            let recall =
+                |((truth, sample), t): ((&Truth, &TrainSample), &Pose)| self.recall(truth, sample, t);
+            recalls.par_extend(truths.par_iter().zip(&samples).zip(&final_poses).map(recall));
             progress.set((first + truths.len()) as u64, "");
         }
         progress.finish();
-        Ok(summary(&final_errors, &coarse_errors, loss))
+        let recalls: Vec<Option<f64>> = recalls.into_iter().collect::<Result<_, _>>()?;
+        let recalls: Vec<f64> = recalls.into_iter().collect::<Option<_>>().unwrap_or_default();
+        let mut record = summary(&final_errors, &coarse_errors, loss);
+        record.average_recall =
+            (!recalls.is_empty()).then(|| recalls.iter().sum::<f64>() / recalls.len() as f64);
+        Ok(record)
+    }
+
+    /// Mean of the VSD, MSSD and MSPD recalls of one estimate; `None` without the object's mesh.
+    fn recall(&self, truth: &Truth, sample: &TrainSample, t: &Pose) -> Result<Option<f64>, FormatError> {
+        let Some(object) = self.objects.get(&sample.key.obj_id) else { return Ok(None) };
+        let frame = self.source.load(sample.key.query_image)?.frame;
+        let view = TestView { depth: &frame.depth, camera: &frame.intrinsics, delta: VSD_DELTA };
+        let rendered = view.render(object, &truth.t_query_object);
+        let errors = PoseErrors::new(object, &view, t, &truth.t_query_object, &rendered);
+        Ok(Some(recall_of(&errors, object.diameter, frame.width())))
+    }
+
+    /// Where the pairs' images are.
+    pub fn source(&self) -> &dyn FrameSource {
+        &*self.source
     }
 
     /// Prepared pairs by index.
@@ -140,6 +193,15 @@ fn summary(errors: &[PoseError], coarse: &[PoseError], loss_sum: f64) -> Validat
     }
 }
 
+/// Share of BOP's thresholds that the errors stay below, averaged over VSD (and its tolerances), MSSD and MSPD.
+fn recall_of(errors: &PoseErrors, diameter: f64, image_width: u32) -> f64 {
+    let share =
+        |error: f64, step: f64| (1..=10).filter(|&i| error < step * f64::from(i)).count() as f64 / 10.0;
+    let vsd = errors.vsd.iter().map(|&e| share(e, 0.05)).sum::<f64>() / errors.vsd.len() as f64;
+    let mspd = share(errors.mspd, 5.0 * f64::from(image_width) / 640.0);
+    (vsd + share(errors.mssd / diameter, 0.05) + mspd) / 3.0
+}
+
 /// Middle value, the mean of the two middle ones for an even count, 0 for none.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
@@ -170,12 +232,21 @@ mod tests {
         let shift = Pose::new(nalgebra::Matrix3::identity(), Vector3::new(0.0, 0.02, 0.0));
         let estimate = shift * t_query_object * slip * t_reference_object.inverse();
         let plain = Truth { t_query_object, symmetries: ObjectSymmetries::default() };
-        let error = PoseError::new(&plain, &truth, &estimate);
+        let error = PoseError::new(&plain, &plain.implied(&truth, &estimate));
         assert!((error.rotation_deg - 10.0).abs() < 1e-9 && (error.translation_m - 0.02).abs() < 1e-12);
         let axis = crate::formats::SymmetryAxis { axis: Vector3::z(), offset: Vector3::zeros() };
         let symmetries = ObjectSymmetries { discrete: vec![], continuous: vec![axis] };
         let round = Truth { t_query_object, symmetries };
-        assert!(PoseError::new(&round, &truth, &estimate).rotation_deg < 1e-6);
+        assert!(PoseError::new(&round, &round.implied(&truth, &estimate)).rotation_deg < 1e-6);
+    }
+
+    #[test]
+    fn recall_counts_thresholds_of_all_three_errors() {
+        let mut vsd = [1.0; crate::eval::TAUS];
+        vsd[0] = 0.0;
+        // VSD: one tolerance of ten at all thresholds; MSSD 12 % of the diameter: 8 of 10; MSPD 3 px of 320: 9 of 10.
+        let errors = PoseErrors { vsd, mssd: 0.012, mspd: 3.0, rotation_deg: 0.0, translation: 0.0 };
+        assert!((recall_of(&errors, 0.1, 320) - (0.1 + 0.8 + 0.9) / 3.0).abs() < 1e-12);
     }
 
     #[test]
@@ -183,7 +254,10 @@ mod tests {
         let of = |rotation_deg, translation_m| PoseError { rotation_deg, translation_m };
         let errors = [of(1.0, 0.01), of(4.0, 0.06), of(14.0, 0.3), of(170.0, 0.02)];
         let record = summary(&errors, &errors[1..3], 10.0);
-        assert_eq!((record.within_5deg_5cm, record.within_15deg, record.coarse_within_15deg), (0.25, 0.75, 0.5));
+        assert_eq!(
+            (record.within_5deg_5cm, record.within_15deg, record.coarse_within_15deg),
+            (0.25, 0.75, 0.5)
+        );
         assert_eq!((record.median_rotation_deg, record.loss, record.pairs), (9.0, 2.5, 4));
         assert!((record.median_translation_m - 0.04).abs() < 1e-12);
     }
