@@ -40,8 +40,10 @@ fn sampler() -> Arc<PairSampler> {
     Arc::new(sampler_of(EllipsoidViews::new(6, 1), &DataConfig::default(), &model()))
 }
 
+type Fingerprint = (u64, Vec<[f32; 3]>, Vec<f32>, Vec<u32>, [f64; 9]);
+
 /// Everything random about a sample.
-fn fingerprint(sample: &TrainSample) -> (u64, Vec<[f32; 3]>, Vec<f32>, Vec<u32>, [f64; 9]) {
+fn fingerprint(sample: &TrainSample) -> Fingerprint {
     let points = sample.query.points.iter().chain(&sample.reference.cloud.points).copied().collect();
     let choose = [&sample.query.choose[..], &sample.reference.cloud.sparse].concat();
     let rgb = [&sample.query.rgb[..], &sample.reference.cloud.rgb].concat();

@@ -83,7 +83,7 @@ fn half_turn_angle(sin: f32, cos: f32) -> f32 {
     let p = p * s + 0.042_909_614;
     let p = p * s - 0.075_289_64;
     let p = p * s + 0.106_562_64;
-    let p = p * s - 0.142_088_99;
+    let p = p * s - 0.142_089;
     let p = p * s + 0.199_935_51;
     let p = p * s - 0.333_331_45;
     let acute = t * (p * s + 1.0);
