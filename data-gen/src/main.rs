@@ -59,7 +59,9 @@ enum Preset {
 
 fn parse_range(text: &str) -> Result<Range<u32>, String> {
     let parsed = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-    parsed.filter(|r| r.start < r.end).ok_or_else(|| format!("{text:?}, expected FIRST..END with FIRST < END"))
+    parsed
+        .filter(|r| r.start < r.end)
+        .ok_or_else(|| format!("{text:?}, expected FIRST..END with FIRST < END"))
 }
 
 fn configuration(arguments: &Arguments) -> Result<SynthConfig> {
@@ -137,7 +139,10 @@ impl Bar {
             };
             let style = ProgressStyle::with_template("{msg:>8} {bar:40} {pos}/{len} {per_sec} {eta} left");
             let bar = ProgressBar::new(progress.total as u64).with_message(name);
-            *current = Some((progress.stage, bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))));
+            *current = Some((
+                progress.stage,
+                bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())),
+            ));
         }
         if let Some((_, bar)) = current.as_ref() {
             bar.set_position(bar.position().max(progress.done as u64));

@@ -9,6 +9,11 @@ use super::{
 use crate::geometry::{Intrinsics, Pose};
 
 const SIZE: i32 = 512;
+/// Widest filter, texels.
+const REACH: f32 = 32.0;
+/// Side of the tiles that tell where no object is near, texels; not below the widest filter.
+const TILE: i32 = 32;
+const TILES: i32 = SIZE / TILE;
 
 /// Depth of the objects as seen from a light.
 pub(super) struct ShadowMap {
@@ -18,6 +23,8 @@ pub(super) struct ShadowMap {
     center: f32,
     /// Nearest depth, 0 where the light meets no object.
     depth: Vec<f32>,
+    /// Nearest depth in a tile and its neighbours, infinite where there is none; one more tile around the map.
+    near_tile: Vec<f32>,
     light_radius: f32,
 }
 
@@ -61,16 +68,28 @@ impl ShadowMap {
                 });
             }
         }
-        let depth = inverse.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect();
-        Self { rotation, translation, focal, center: middle, depth, light_radius: light.radius }
+        let depth: Vec<f32> = inverse.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect();
+        let near_tile = near_tiles(&depth);
+        Self { rotation, translation, focal, center: middle, depth, near_tile, light_radius: light.radius }
     }
 
     fn blocker(&self, u: f32, v: f32) -> f32 {
-        let (col, row) = (u.round() as i32, v.round() as i32);
-        if col < 0 || row < 0 || col >= SIZE || row >= SIZE {
+        // Truncation towards zero rounds here: negative places are outside anyway.
+        let (col, row) = ((u + 0.5) as i32, (v + 0.5) as i32);
+        if u < 0.0 || v < 0.0 || col >= SIZE || row >= SIZE {
             return 0.0;
         }
         self.depth[(row * SIZE + col) as usize]
+    }
+
+    /// Nearest depth within reach of the filter, infinite where there is nothing.
+    fn nearest_around(&self, u: f32, v: f32) -> f32 {
+        let tile = |x: f32| (x * (1.0 / TILE as f32) + 1.0) as i32;
+        let (col, row) = (tile(u), tile(v));
+        if u < -REACH || v < -REACH || col > TILES + 1 || row > TILES + 1 {
+            return f32::INFINITY;
+        }
+        self.near_tile[(row * (TILES + 2) + col) as usize]
     }
 
     /// Share of the light that reaches a world point; `turn` rotates the filter taps.
@@ -83,7 +102,10 @@ impl ShadowMap {
         }
         let (u, v) = (self.focal * p.x / p.z + self.center, self.focal * p.y / p.z + self.center);
         let bias = 0.001 + 0.002 * p.z / self.focal * SIZE as f32 / 256.0;
-        let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, 24.0);
+        if self.nearest_around(u, v) >= p.z - bias {
+            return 1.0;
+        }
+        let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, REACH);
         let tap = |k: usize, size: f32| {
             let [x, y] = TAPS[k];
             let (dx, dy) = (turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y);
@@ -103,11 +125,28 @@ impl ShadowMap {
         // Width of the penumbra from similar triangles (percentage-closer soft shadows, Fernando 2005).
         let blocker = sum / count;
         let penumbra = self.light_radius * (p.z - blocker) / blocker;
-        let size = (self.focal * penumbra / p.z).clamp(0.7, 40.0);
+        let size = (self.focal * penumbra / p.z).clamp(0.7, REACH);
         let lit = (0..TAPS.len()).filter(|&k| {
             let depth = tap(k, size);
             depth <= 0.0 || depth >= p.z - bias
         });
         lit.count() as f32 / TAPS.len() as f32
     }
+}
+
+fn near_tiles(depth: &[f32]) -> Vec<f32> {
+    let side = TILES + 2;
+    let mut own = vec![f32::INFINITY; (side * side) as usize];
+    for (i, &z) in depth.iter().enumerate().filter(|(_, z)| **z > 0.0) {
+        let (col, row) = (i as i32 % SIZE / TILE + 1, i as i32 / SIZE / TILE + 1);
+        let tile = &mut own[(row * side + col) as usize];
+        *tile = tile.min(z);
+    }
+    let around = |i: i32| {
+        let (col, row) = (i % side, i / side);
+        let neighbours = (row - 1..=row + 1).flat_map(|r| (col - 1..=col + 1).map(move |c| (r, c)));
+        let inside = neighbours.filter(|(r, c)| (0..side).contains(r) && (0..side).contains(c));
+        inside.map(|(r, c)| own[(r * side + c) as usize]).fold(f32::INFINITY, f32::min)
+    };
+    (0..side * side).map(around).collect()
 }

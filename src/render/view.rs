@@ -195,8 +195,14 @@ impl Rays {
 /// Rotation (cos, sin) of the shadow filter, varying from sample to sample so that banding becomes grain.
 fn filter_turn(col: u32, row: u32) -> [f32; 2] {
     let hash = (col.wrapping_mul(0x9E37_79B1) ^ row.wrapping_mul(0x85EB_CA77)).wrapping_mul(0xC2B2_AE3D);
-    let angle = (hash >> 16) as f32 * (std::f32::consts::TAU / 65536.0);
-    [angle.cos(), angle.sin()]
+    static TURNS: std::sync::OnceLock<[[f32; 2]; 64]> = std::sync::OnceLock::new();
+    let turns = TURNS.get_or_init(|| {
+        std::array::from_fn(|k| {
+            let (s, c) = (k as f32 * std::f32::consts::TAU / 64.0).sin_cos();
+            [c, s]
+        })
+    });
+    turns[(hash >> 26) as usize]
 }
 
 pub(super) fn luminance(c: &[f32; 3]) -> f32 {

@@ -34,7 +34,8 @@ pub fn contact_sheet(
     let (count, total) = (columns * rows, dataset.image_keys().len() as u32);
     let mut sheet = RgbImage::new(1, 1);
     for k in 0..count.min(total) {
-        let annotated = dataset.load((u64::from(k) * u64::from(total) / u64::from(count.min(total))) as u32)?;
+        let annotated =
+            dataset.load((u64::from(k) * u64::from(total) / u64::from(count.min(total))) as u32)?;
         let tile = tile(&annotated, plain);
         if k == 0 {
             sheet = RgbImage::new(tile.width() * columns, tile.height() * rows);

@@ -1,7 +1,7 @@
 //! Filling a folder with shards, models and index files.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, HashMap, HashSet},
     ops::Range,
     path::Path,
     sync::atomic::{AtomicUsize, Ordering},
@@ -63,9 +63,12 @@ pub fn generate(
     out: &Path,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, SynthError> {
+    check(config)?;
+    claim(config, out)?;
+    let mut cache = ObjectCache::new(config)?;
+    write_models(config, out, &mut cache, progress)?;
     let shards = config.images.div_ceil(config.images_per_shard.max(1)) as u32;
-    let summary = generate_shards(config, out, 0..shards, progress)?;
-    write_models(config, out, progress)?;
+    let summary = make_shards(config, out, 0..shards, &mut cache, progress)?;
     let index = out.join(format!("megapose_{SET_NAME}_fixed_obj_id_to_visib0_8_scene_im_inst_ids.json"));
     if summary.shards_written > 0 || !index.is_file() {
         remove_index_files(out)?;
@@ -84,7 +87,43 @@ pub fn generate_shards(
 ) -> Result<Summary, SynthError> {
     check(config)?;
     claim(config, out)?;
-    let library = ObjectLibrary::new(config)?;
+    make_shards(config, out, shards, &mut ObjectCache::new(config)?, progress)
+}
+
+/// The objects of the current pool; those of the next pool are taken over.
+struct ObjectCache {
+    library: ObjectLibrary,
+    built: HashMap<u32, SynthObject>,
+}
+
+impl ObjectCache {
+    fn new(config: &SynthConfig) -> Result<Self, SynthError> {
+        Ok(Self { library: ObjectLibrary::new(config)?, built: HashMap::new() })
+    }
+
+    /// The objects in the order of `ids`; `done` is called after each one that had to be made.
+    fn get(&mut self, ids: &[u32], done: &(dyn Fn() + Sync)) -> Vec<SynthObject> {
+        let wanted: HashSet<u32> = ids.iter().copied().collect();
+        self.built.retain(|id, _| wanted.contains(id));
+        let missing: Vec<u32> = ids.iter().copied().filter(|id| !self.built.contains_key(id)).collect();
+        let library = &self.library;
+        let make = |&id: &u32| {
+            let object = library.build(id);
+            done();
+            (id, object)
+        };
+        self.built.extend(missing.par_iter().map(make).collect::<Vec<_>>());
+        ids.iter().filter_map(|id| self.built.get(id).cloned()).collect()
+    }
+}
+
+fn make_shards(
+    config: &SynthConfig,
+    out: &Path,
+    shards: Range<u32>,
+    cache: &mut ObjectCache,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Summary, SynthError> {
     let per_shard = config.images_per_shard;
     let images_in = |shard: u32| (config.images.saturating_sub(shard as usize * per_shard)).min(per_shard);
     let total = shards.clone().map(images_in).sum();
@@ -94,7 +133,6 @@ pub fn generate_shards(
         progress(Progress { stage: Stage::Images, done, total });
     };
     let mut summary = Summary::default();
-    let mut built: HashMap<u32, SynthObject> = HashMap::new();
     for shard in shards {
         let path = out.join("train_pbr_web").join(shard_file_name(shard));
         let images = images_in(shard);
@@ -103,11 +141,7 @@ pub fn generate_shards(
             report(images);
             continue;
         }
-        let pool = pool_of(config, shard);
-        built.retain(|id, _| pool.contains(id));
-        let missing: Vec<u32> = pool.iter().copied().filter(|id| !built.contains_key(id)).collect();
-        built.extend(missing.par_iter().map(|&id| (id, library.build(id))).collect::<Vec<_>>());
-        let objects: Vec<SynthObject> = pool.iter().filter_map(|id| built.get(id).cloned()).collect();
+        let objects = cache.get(&pool_of(config, shard), &|| {});
         let mut writer = ShardWriter::default();
         for image in shard::encode_shard(config, &objects, shard, images, &report)? {
             writer.push(image);
@@ -143,7 +177,11 @@ fn check(config: &SynthConfig) -> Result<(), SynthError> {
         return error(field, value.to_string(), "at least 1");
     }
     if config.width < 16 || config.height < 16 || config.width > 8192 || config.height > 8192 {
-        return error("width x height", format!("{} x {}", config.width, config.height), "16..8192 pixels each");
+        return error(
+            "width x height",
+            format!("{} x {}", config.width, config.height),
+            "16..8192 pixels each",
+        );
     }
     if !(1..=8).contains(&config.supersampling) {
         return error("supersampling", config.supersampling.to_string(), "1..8");
@@ -166,10 +204,11 @@ fn claim(config: &SynthConfig, out: &Path) -> Result<(), SynthError> {
     if !file.is_file() {
         return Ok(write_json(&file, config, true)?);
     }
-    let (found, wanted): (serde_json::Value, _) = (read_json(&file)?, serde_json::to_value(config));
-    let wanted = wanted.map_err(|e| SynthError::Io { path: file.clone(), source: e.into() })?;
-    // Both through JSON text, so that numbers compare as they are written.
-    let wanted: serde_json::Value = serde_json::from_str(&wanted.to_string()).unwrap_or(wanted);
+    // Both through JSON text: a number is compared as it is written (f32 values do not survive `to_value`).
+    let found: serde_json::Value = read_json(&file)?;
+    let wanted = serde_json::to_string(config).and_then(|text| serde_json::from_str(&text));
+    let wanted: serde_json::Value =
+        wanted.map_err(|e| SynthError::Io { path: file.clone(), source: e.into() })?;
     if found == wanted {
         return Ok(());
     }
@@ -186,7 +225,9 @@ fn remove_index_files(out: &Path) -> Result<(), SynthError> {
     for suffix in ["valid_inst_ids.json", "obj_id_to_visib0_8_scene_im_inst_ids.json"] {
         let path = out.join(format!("megapose_{SET_NAME}_fixed_{suffix}"));
         match std::fs::remove_file(&path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(SynthError::Io { path, source }),
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(SynthError::Io { path, source });
+            }
             _ => {}
         }
     }
@@ -204,6 +245,7 @@ struct ModelName {
 fn write_models(
     config: &SynthConfig,
     out: &Path,
+    cache: &mut ObjectCache,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<(), SynthError> {
     let (folder, names_file) = (out.join("models"), out.join(format!("{SET_NAME}_models.json")));
@@ -211,27 +253,29 @@ fn write_models(
     if names_file.is_file() && info_file.is_file() {
         return Ok(());
     }
-    let library = ObjectLibrary::new(config)?;
-    let done = AtomicUsize::new(0);
-    let total = config.objects;
-    let made: Vec<Result<(ModelName, ModelInfo), SynthError>> = (1..=config.objects as u32)
-        .into_par_iter()
-        .map(|obj_id| {
-            let object = library.build(obj_id);
-            if config.write_models {
-                write_model(&object, &folder)?;
-            }
-            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            progress(Progress { stage: Stage::Objects, done, total });
-            Ok((ModelName { obj_id, gso_id: object.name.clone() }, object.info()))
-        })
-        .collect();
+    let (done, total) = (AtomicUsize::new(0), config.objects);
+    let report = || {
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        progress(Progress { stage: Stage::Objects, done, total });
+    };
     let mut names = Vec::new();
     let mut infos = BTreeMap::new();
-    for model in made {
-        let (name, info) = model?;
-        infos.insert(name.obj_id, info);
-        names.push(name);
+    let ids: Vec<u32> = (1..=config.objects as u32).collect();
+    for chunk in ids.chunks(config.objects_per_shard) {
+        let objects = cache.get(chunk, &report);
+        let written: Vec<Result<ModelInfo, SynthError>> = objects
+            .par_iter()
+            .map(|object| {
+                if config.write_models {
+                    write_model(object, &folder)?;
+                }
+                Ok(object.info())
+            })
+            .collect();
+        for (object, info) in objects.iter().zip(written) {
+            infos.insert(object.obj_id, info?);
+            names.push(ModelName { obj_id: object.obj_id, gso_id: object.name.clone() });
+        }
     }
     write_models_info(&info_file, &infos)?;
     Ok(write_json(&names_file, &names, true)?)

@@ -37,11 +37,19 @@ pub struct SynthObject {
     pub hull: Vec<Point3<f32>>,
 }
 
-/// Directions in which the collision hull touches the mesh.
-const HULL_DIRECTIONS: usize = 160;
+/// Directions in which the collision hull touches the mesh at least.
+const HULL_DIRECTIONS: usize = 100;
+/// Vertices that stick out of the hull by more than this become part of it, metres.
+const HULL_TOLERANCE: f32 = 3e-4;
 
 impl SynthObject {
-    fn new(obj_id: u32, name: String, mesh: TriangleMesh, finish: Finish, symmetries: ObjectSymmetries) -> Self {
+    fn new(
+        obj_id: u32,
+        name: String,
+        mesh: TriangleMesh,
+        finish: Finish,
+        symmetries: ObjectSymmetries,
+    ) -> Self {
         let hull = collision_hull(&mesh);
         Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull }
     }
@@ -139,11 +147,13 @@ fn collect_meshes(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), SynthEr
     Ok(())
 }
 
-/// Vertices farthest out in evenly spread directions: a hull of bounded size.
+/// Convex hull that lies at most about [`HULL_TOLERANCE`] inside the mesh's own: vertices farthest out in evenly spread
+/// directions, then along the normals of the faces found so far.
 fn collision_hull(mesh: &TriangleMesh) -> Vec<Point3<f32>> {
-    let farthest = |d: Vector3<f32>| {
-        let reach = |v: &[f32; 3]| Vector3::from(*v).dot(&d);
-        mesh.vertices.iter().copied().max_by(|a, b| reach(a).total_cmp(&reach(b)))
+    let reach = |v: &[f32; 3], d: &Vector3<f32>| Vector3::from(*v).dot(d);
+    let farthest = |d: &Vector3<f32>| {
+        let by_reach = |a: &&[f32; 3], b: &&[f32; 3]| reach(a, d).total_cmp(&reach(b, d));
+        mesh.vertices.iter().max_by(by_reach).copied()
     };
     let mut points: Vec<[f32; 3]> = (0..HULL_DIRECTIONS)
         .filter_map(|i| {
@@ -151,13 +161,28 @@ fn collision_hull(mesh: &TriangleMesh) -> Vec<Point3<f32>> {
             let z = 1.0 - (2.0 * i as f32 + 1.0) / HULL_DIRECTIONS as f32;
             let (s, c) = (i as f32 * 2.399_963_2).sin_cos();
             let r = (1.0 - z * z).sqrt();
-            farthest(Vector3::new(r * c, r * s, z))
+            farthest(&Vector3::new(r * c, r * s, z))
         })
         .collect();
-    points.sort_by(|a, b| a.iter().zip(b).map(|(x, y)| x.total_cmp(y)).fold(std::cmp::Ordering::Equal, |o, n| o.then(n)));
-    points.dedup();
-    let points: Vec<Point3<f32>> = points.into_iter().map(Point3::from).collect();
-    try_convex_hull(&points).map_or(points, |(hull, _)| hull)
+    for _ in 0..3 {
+        points.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+        points.dedup();
+        let cloud: Vec<Point3<f32>> = points.iter().map(|p| Point3::from(*p)).collect();
+        let Ok((corners, faces)) = try_convex_hull(&cloud) else { return cloud };
+        let before = points.len();
+        for face in faces {
+            let [a, b, c] = face.map(|i| corners[i as usize]);
+            let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { continue };
+            points.extend(
+                farthest(&normal).filter(|v| reach(v, &normal) > a.coords.dot(&normal) + HULL_TOLERANCE),
+            );
+        }
+        if points.len() == before {
+            return corners;
+        }
+    }
+    let cloud: Vec<Point3<f32>> = points.into_iter().map(Point3::from).collect();
+    try_convex_hull(&cloud).map_or(cloud, |(corners, _)| corners)
 }
 
 fn object_symmetries(symmetry: &Symmetry) -> ObjectSymmetries {

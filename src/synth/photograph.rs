@@ -50,7 +50,8 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
 /// Gain that brings the mean of the sRGB-coded luminance to `target`.
 fn exposure_for(radiance: &[[f32; 3]], target: f32) -> f32 {
     let mean = |gain: f32| {
-        let coded = radiance.iter().step_by(7).map(|c| linear_to_srgb(gain * (0.3 * c[0] + 0.6 * c[1] + 0.1 * c[2])));
+        let coded =
+            radiance.iter().step_by(7).map(|c| linear_to_srgb(gain * (0.3 * c[0] + 0.6 * c[1] + 0.1 * c[2])));
         coded.sum::<f32>() / radiance.len().div_ceil(7).max(1) as f32
     };
     let (mut low, mut high) = (1e-3f32, 1e3f32);

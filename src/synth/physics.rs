@@ -1,13 +1,13 @@
 //! Dropping objects on the table with rigid-body physics.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rapier3d::prelude::*;
 
 use super::{object::SynthObject, random::Draw};
 use crate::geometry::Pose;
 
-const STEP: f32 = 1.0 / 100.0;
+const STEP: f32 = 1.0 / 120.0;
 /// Longest simulated time, seconds.
 const LONGEST: f32 = 2.5;
 
@@ -21,20 +21,22 @@ pub(super) fn drop_on_table(
 ) -> Vec<Option<Pose>> {
     let mut bodies = RigidBodySet::new();
     let mut colliders = ColliderSet::new();
-    let ground = ColliderBuilder::halfspace(Vector3::z_axis()).friction(0.9);
+    // A box, not a half-space: parry finds the deepest point of a hull against a box, but only the face that looks down
+    // most against a half-space. Its top is half a millimetre above the visible table, as contacts give way a little.
+    let ground =
+        ColliderBuilder::cuboid(2.0, 2.0, 0.2).translation(Vector3::z() * (5e-4 - 0.2)).friction(0.9);
     colliders.insert(ground);
     let size = |o: &SynthObject| Vector3::from(o.mesh.bounds().size()).norm();
     let mean_size = objects.iter().map(|o| size(o)).sum::<f32>() / objects.len().max(1) as f32;
-    let spread = mean_size * rng.between(0.45, 0.85) * (objects.len() as f32).sqrt();
+    let spread = mean_size * rng.between(0.25, 0.6) * (objects.len() as f32).sqrt();
     let friction = rng.between(0.4, 0.9);
-    let mut level = 0.0;
+    let mut taken: Vec<(Vector3<f32>, f32)> = Vec::new();
     let handles: Vec<Option<RigidBodyHandle>> = objects
         .iter()
         .map(|object| {
             let radius = 0.5 * size(object);
-            let (angle, distance) = (rng.between(0.0, std::f32::consts::TAU), spread * rng.between(0.0, 1.0).sqrt());
-            level += radius * rng.between(0.25, 0.7);
-            let place = Vector3::new(distance * angle.cos(), distance * angle.sin(), level + radius);
+            let place = lowest_free_place(&taken, radius, spread, rng);
+            taken.push((place, radius));
             let turn = rng.unit_vector() * rng.between(0.0, std::f32::consts::PI);
             let collider = ColliderBuilder::convex_hull(&object.hull)?;
             let body = RigidBodyBuilder::dynamic()
@@ -48,13 +50,44 @@ pub(super) fn drop_on_table(
             Some(handle)
         })
         .collect();
-    let end = if tumbling { 0.15 + level * 0.6 + rng.between(0.05, 0.45) } else { LONGEST };
+    let top = taken.iter().map(|t| t.0.z).fold(0.0, f32::max);
+    // The time of a free fall from the top, and a little more.
+    let end = if tumbling { (top / 4.9).sqrt() + rng.between(0.0, 0.35) } else { LONGEST };
     simulate(&mut bodies, &mut colliders, end.min(LONGEST));
-    let pose = |handle: &Option<RigidBodyHandle>| {
+    let pose = |(object, handle): (&&SynthObject, &Option<RigidBodyHandle>)| {
         let isometry = bodies.get((*handle)?)?.position();
-        to_pose(isometry, spread + 3.0 * mean_size)
+        let mut pose = to_pose(isometry, spread + 3.0 * mean_size)?;
+        // What the solver left inside the table, a few millimetres at most in a heap.
+        let bottom = pose.translation.z + lowest(object, &pose.rotation);
+        pose.translation.z -= bottom.min(0.0);
+        Some(pose)
     };
-    handles.iter().map(pose).collect()
+    objects.iter().zip(&handles).map(pose).collect()
+}
+
+/// The lowest of several random places within `spread` of the centre where a sphere touches no other.
+fn lowest_free_place(
+    taken: &[(Vector3<f32>, f32)],
+    radius: f32,
+    spread: f32,
+    rng: &mut ChaCha8Rng,
+) -> Vector3<f32> {
+    let mut lowest = Vector3::new(0.0, 0.0, f32::MAX);
+    for _ in 0..6 {
+        let angle = rng.between(0.0, std::f32::consts::TAU);
+        let distance = spread * rng.between(0.0, 1.0).sqrt();
+        let (x, y) = (distance * angle.cos(), distance * angle.sin());
+        let above = |(other, r): &(Vector3<f32>, f32)| {
+            let (reach, flat) = (r + radius, (other.x - x).hypot(other.y - y));
+            other.z + (reach * reach - flat * flat).max(0.0).sqrt()
+        };
+        let under = taken.iter().filter(|t| (t.0.x - x).hypot(t.0.y - y) < t.1 + radius);
+        let z = under.map(above).fold(radius, f32::max) + 0.002;
+        if z < lowest.z {
+            lowest = Vector3::new(x, y, z);
+        }
+    }
+    lowest
 }
 
 fn simulate(bodies: &mut RigidBodySet, colliders: &mut ColliderSet, duration: f32) {
@@ -99,6 +132,11 @@ fn to_pose(isometry: &Isometry3<f32>, reach: f32) -> Option<Pose> {
     inside.then(|| Pose::new(*rotation.to_rotation_matrix().matrix(), t.cast()))
 }
 
+/// Smallest z of the rotated object.
+fn lowest(object: &SynthObject, rotation: &Matrix3<f64>) -> f64 {
+    object.hull.iter().map(|p| (rotation * p.coords.cast::<f64>()).z).fold(f64::MAX, f64::min)
+}
+
 /// Objects side by side in any orientation, touching the table: what is left when physics fails.
 pub(super) fn lay_out(objects: &[&SynthObject], rng: &mut ChaCha8Rng) -> Vec<Option<Pose>> {
     let columns = (objects.len() as f32).sqrt().ceil() as usize;
@@ -107,9 +145,9 @@ pub(super) fn lay_out(objects: &[&SynthObject], rng: &mut ChaCha8Rng) -> Vec<Opt
         let turn = rng.unit_vector() * rng.between(0.0, std::f32::consts::PI);
         let rotation = UnitQuaternion::from_scaled_axis(turn.cast::<f64>()).to_rotation_matrix();
         let at = |k: usize| (k as f32 - 0.5 * (columns - 1) as f32) * cell;
-        let lowest = object.hull.iter().map(|p| (rotation * p.cast::<f64>()).z).fold(f64::MAX, f64::min);
         let (x, y) = (at(i % columns), at(i / columns));
-        Some(Pose::new(*rotation.matrix(), Vector3::new(x.into(), y.into(), -lowest)))
+        let z = -lowest(object, rotation.matrix());
+        Some(Pose::new(*rotation.matrix(), Vector3::new(x.into(), y.into(), z)))
     };
     objects.iter().enumerate().map(place).collect()
 }

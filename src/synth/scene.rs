@@ -92,7 +92,8 @@ fn room(rng: &mut ChaCha8Rng) -> Room {
         let roughness = rng.between(smooth, 1.0);
         Surface { picture, tile, angle: rng.between(0.0, TAU), finish: Finish { roughness, metallic: 0.0 } }
     };
-    let (table, floor, wall) = (surface(320, 0.5, 1.2, 0.3), surface(128, 0.8, 2.0, 0.6), surface(128, 1.0, 3.0, 0.8));
+    let (table, floor, wall) =
+        (surface(320, 0.5, 1.2, 0.3), surface(128, 0.8, 2.0, 0.6), surface(128, 1.0, 3.0, 0.8));
     Room {
         table,
         floor,

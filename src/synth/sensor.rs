@@ -67,7 +67,7 @@ impl DepthSensor {
                 // Only edges move; along a smooth surface the sensor sees its own point.
                 let jump = |z: f32| (disparity(z) - disparity(own)).abs() > 0.7 * scale.max(0.4);
                 let mut z = if jump(moved) { moved } else { own };
-                let reach = (1.5 * scale).max(1.0);
+                let reach = (2.5 * scale).max(1.0);
                 let beside = [(reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach)]
                     .map(|(x, y)| exact.data[at(x, y)])
                     .into_iter()
@@ -152,7 +152,8 @@ fn correlated(w: usize, h: usize, length: f32, rng: &mut ChaCha8Rng) -> Vec<f32>
             let (c, fx) = (x as usize, x.fract());
             let at = |dr: usize, dc: usize| lattice[(r + dr) * cols + c + dc];
             let (wx, wy) = ([1.0 - fx, fx], [1.0 - fy, fy]);
-            let sum = wy[0] * (wx[0] * at(0, 0) + wx[1] * at(0, 1)) + wy[1] * (wx[0] * at(1, 0) + wx[1] * at(1, 1));
+            let sum =
+                wy[0] * (wx[0] * at(0, 0) + wx[1] * at(0, 1)) + wy[1] * (wx[0] * at(1, 0) + wx[1] * at(1, 1));
             // Interpolation shrinks the variance by the sum of squared weights.
             let variance = (wx[0] * wx[0] + wx[1] * wx[1]) * (wy[0] * wy[0] + wy[1] * wy[1]);
             field.push(sum / variance.sqrt());

@@ -20,7 +20,7 @@ use crate::{
         rle::Rle,
     },
     frame::DepthMap,
-    render::{Camera, InstanceView, Rendering, SceneRenderer, instance_views},
+    render::{Camera, InstanceView, SceneRenderer, instance_views},
 };
 
 /// Millimetres per unit of the depth images.
@@ -32,12 +32,8 @@ pub(super) struct Image {
     pub key: String,
     pub rgb: RgbImage,
     pub depth: DepthMap,
-    pub camera: Camera,
-    pub obj_ids: Vec<u32>,
     pub records: ImageRecords,
     pub jpeg_quality: u8,
-    pub rendering: Rendering,
-    pub scene: std::sync::Arc<crate::render::Scene>,
 }
 
 /// Scenes that a shard with `images` images has.
@@ -88,7 +84,6 @@ pub(super) fn images_of_scene(
     let sensor = DepthSensor::draw(&config.sensor, &mut stream(config.seed, Domain::Sensor, number));
     let renderer = SceneRenderer::new(&arrangement.scene);
     let first = k * views;
-    let shared = std::sync::Arc::new(arrangement.scene.clone());
     (first..images.min(first + views))
         .map(|image| {
             let view = (image - first) as u64;
@@ -97,26 +92,20 @@ pub(super) fn images_of_scene(
             let rendering = renderer.render(&camera, config.supersampling.max(1));
             let (rgb, brightness) = photograph::develop(&rendering, &config.sensor, &mut rng);
             let depth = match config.sensor.enabled {
-                true => {
-                    sensor.measure(&rendering, camera.intrinsics.fx as f32, &brightness, &config.sensor, &mut rng)
-                }
+                true => sensor.measure(
+                    &rendering,
+                    camera.intrinsics.fx as f32,
+                    &brightness,
+                    &config.sensor,
+                    &mut rng,
+                ),
                 false => rendering.depth.clone(),
             };
             let instances = instance_views(&arrangement.scene.objects, &camera, &rendering.ids);
             let records = records(&arrangement, &camera, &instances, &depth);
             let [low, high] = config.sensor.jpeg_quality.map(usize::from);
             let jpeg_quality = rng.count(low, high).clamp(1, 100) as u8;
-            Image {
-                key: format!("{number:06}_{view:06}"),
-                rgb,
-                depth,
-                camera,
-                obj_ids: arrangement.obj_ids.clone(),
-                records,
-                jpeg_quality,
-                rendering,
-                scene: shared.clone(),
-            }
+            Image { key: format!("{number:06}_{view:06}"), rgb, depth, records, jpeg_quality }
         })
         .collect()
 }

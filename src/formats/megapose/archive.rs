@@ -33,11 +33,16 @@ impl Archive {
     /// Lists the members without reading their content. A damaged tar gives what lies before the damage.
     pub fn scan(path: &Path) -> Result<Self, FormatError> {
         let mut archive = Self { path: path.to_owned(), images: BTreeMap::new(), problems: Vec::new() };
-        if path.is_dir() { archive.scan_folder()? } else { archive.scan_tar()? }
+        if path.is_dir() {
+            archive.scan_folder()?
+        } else {
+            archive.scan_tar()?
+        }
         let path = archive.path.display().to_string();
         let problems = &mut archive.problems;
         archive.images.retain(|key, members| {
-            let missing = MemberKind::ALL.iter().find(|k| **k != MemberKind::Mask && !members.0.contains_key(k));
+            let missing =
+                MemberKind::ALL.iter().find(|k| **k != MemberKind::Mask && !members.0.contains_key(k));
             if let Some(kind) = missing {
                 problems.push(format!("{path}: {key}.{} not found, image skipped", kind.extension()));
             }
@@ -76,7 +81,11 @@ impl Archive {
                     break;
                 }
                 Err(error) => {
-                    self.problems.push(format!("{}: damaged after {} members: {error}", self.path.display(), found.len()));
+                    self.problems.push(format!(
+                        "{}: damaged after {} members: {error}",
+                        self.path.display(),
+                        found.len()
+                    ));
                     break;
                 }
             }

@@ -54,7 +54,8 @@ impl ShardDataset {
     /// Opens the folder with the shards or the one above (`train_pbr_web` is found inside). Damaged shards and images
     /// are left out and listed in [`Self::problems`]; a folder without one usable image is an error.
     pub fn open(dir: &Path) -> Result<Self, FormatError> {
-        let folder = ["train_pbr_web", "."].iter().map(|sub| dir.join(sub)).find(|f| !shard_paths(f).is_empty());
+        let folder =
+            ["train_pbr_web", "."].iter().map(|sub| dir.join(sub)).find(|f| !shard_paths(f).is_empty());
         let hint = "shard-NNNNNN.tar files or NNNNNN folders, there or in train_pbr_web/";
         let folder = folder.ok_or_else(|| FormatError::missing(dir.display(), "shards", hint))?;
         let parent = folder.parent().map(Path::to_path_buf).unwrap_or_default();
@@ -86,9 +87,11 @@ impl ShardDataset {
         for problem in &dataset.problems {
             tracing::warn!("{problem}");
         }
-        let info = [&parent, &dataset.folder].map(|f| [f.join("models/models_info.json"), f.join("models_info.json")]);
+        let info = [&parent, &dataset.folder]
+            .map(|f| [f.join("models/models_info.json"), f.join("models_info.json")]);
         if let Some(file) = info.iter().flatten().find(|f| f.is_file()) {
-            dataset.symmetries = read_models_info(file)?.into_iter().map(|(id, m)| (id, m.symmetries)).collect();
+            dataset.symmetries =
+                read_models_info(file)?.into_iter().map(|(id, m)| (id, m.symmetries)).collect();
         }
         Ok(dataset)
     }
@@ -181,7 +184,8 @@ impl ShardDataset {
     }
 
     fn read(&self, image: u32) -> Result<(ImageRecords, image::RgbImage, Vec<u8>, String), FormatError> {
-        let (Some(key), Some(&shard)) = (self.keys.get(image as usize), self.shard_of.get(image as usize)) else {
+        let (Some(key), Some(&shard)) = (self.keys.get(image as usize), self.shard_of.get(image as usize))
+        else {
             let expected = format!("below {}", self.keys.len());
             return Err(FormatError::field(self.folder.display(), "image number", image, expected));
         };

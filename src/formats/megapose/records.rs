@@ -83,7 +83,9 @@ pub(super) fn masks_from_json(bytes: &[u8], count: usize, place: &str) -> Result
     (0..count)
         .map(|i| {
             let hint = format!("{count} instances in gt.json");
-            by_index.remove(&i.to_string()).ok_or_else(|| FormatError::missing(place, format!("mask {i}"), hint))
+            by_index
+                .remove(&i.to_string())
+                .ok_or_else(|| FormatError::missing(place, format!("mask {i}"), hint))
         })
         .collect()
 }

@@ -21,9 +21,9 @@ fn globe(point: impl Fn(f32, f32) -> Vector3<f32>) -> Solid {
     loft::capped(&rings, point(-FRAC_PI_2, 0.0), point(FRAC_PI_2, 0.0), 0)
 }
 
-/// Signed power.
+/// Signed power; the rounding error of a zero stays zero.
 fn power(x: f32, e: f32) -> f32 {
-    x.signum() * x.abs().powf(e)
+    if x.abs() < 1e-6 { 0.0 } else { x.signum() * x.abs().powf(e) }
 }
 
 /// Superquadric, perhaps tapered, bent or twisted.

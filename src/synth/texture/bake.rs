@@ -94,7 +94,11 @@ fn bake(
                     continue;
                 }
                 let color = look.color(&corner(&mesh.vertices, w), &corner(&mesh.normals, w), part);
-                picture.put_pixel(col, row, Rgb(color.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).into()));
+                picture.put_pixel(
+                    col,
+                    row,
+                    Rgb(color.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).into()),
+                );
                 set[(row * resolution + col) as usize] = true;
             }
         }
@@ -114,9 +118,10 @@ fn grow(picture: &mut RgbImage, set: &mut [bool]) {
             if before[(row * w + col) as usize] {
                 continue;
             }
-            let painted = [(0, -1), (0, 1), (-1, 0), (1, 0)].into_iter().map(|(dx, dy)| (col + dx, row + dy)).find(
-                |&(x, y)| (0..w).contains(&x) && (0..h).contains(&y) && before[(y * w + x) as usize],
-            );
+            let painted = [(0, -1), (0, 1), (-1, 0), (1, 0)]
+                .into_iter()
+                .map(|(dx, dy)| (col + dx, row + dy))
+                .find(|&(x, y)| (0..w).contains(&x) && (0..h).contains(&y) && before[(y * w + x) as usize]);
             if let Some((x, y)) = painted {
                 let color = *picture.get_pixel(x as u32, y as u32);
                 picture.put_pixel(col as u32, row as u32, color);

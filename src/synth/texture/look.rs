@@ -139,7 +139,9 @@ fn decal(size: [f32; 3], revolved: bool, rng: &mut ChaCha8Rng) -> Decal {
     let full = rng.chance(0.3);
     let mut share = || if full { rng.between(0.9, 1.02) } else { rng.between(0.15, 0.7) };
     let half = [extent(&right) * share(), extent(&up) * share()];
-    let free = |d: &Vector3<f32>, h: f32, rng: &mut ChaCha8Rng| d * (extent(d) - h).max(0.0) * rng.between(-0.9, 0.9);
+    let free = |d: &Vector3<f32>, h: f32, rng: &mut ChaCha8Rng| {
+        d * (extent(d) - h).max(0.0) * rng.between(-0.9, 0.9)
+    };
     let center = free(&right, half[0], rng) + free(&up, half[1], rng);
     let picture = print::label(half[0] / half[1].max(1e-6), 200, rng);
     Decal { picture, center, right, up, half, around }

@@ -84,7 +84,8 @@ impl Pattern {
             10 => Kind::Stripes,
             11 => Kind::Checks,
             12 | 13 => {
-                let mut cuts: Vec<f32> = (0..rng.count(1, 6)).map(|_| rng.between(-0.45, 0.45) * size).collect();
+                let mut cuts: Vec<f32> =
+                    (0..rng.count(1, 6)).map(|_| rng.between(-0.45, 0.45) * size).collect();
                 cuts.sort_by(f32::total_cmp);
                 Kind::Bands(cuts)
             }
@@ -131,7 +132,8 @@ impl Pattern {
         let color = match &self.kind {
             Kind::Plain => *a,
             Kind::Wood => {
-                let warp = Vector3::new(s.x + 3.0, s.y + 1.5, 0.0) + Vector3::repeat(noise::fractal(&(s * 0.4), 2, seed));
+                let warp = Vector3::new(s.x + 3.0, s.y + 1.5, 0.0)
+                    + Vector3::repeat(noise::fractal(&(s * 0.4), 2, seed));
                 let ring = (warp.xy().norm() * 3.0).fract();
                 let fiber = noise::value(&Vector3::new(s.x * 9.0, s.y * 9.0, s.z * 0.7), seed);
                 mix(&mix(a, b, ring * 0.8), c, 0.2 + 0.2 * fiber)
@@ -162,7 +164,15 @@ impl Pattern {
             }
             Kind::Stripes => {
                 let t = (s.z + 0.15 * noise::value(&(s * 0.5), seed)).rem_euclid(3.0);
-                if t < 1.0 { *a } else if t < 1.6 { *b } else if t < 2.2 { *a } else { *c }
+                if t < 1.0 {
+                    *a
+                } else if t < 1.6 {
+                    *b
+                } else if t < 2.2 {
+                    *a
+                } else {
+                    *c
+                }
             }
             Kind::Checks => {
                 let odd = (s.x.floor() + s.y.floor() + s.z.floor()).rem_euclid(2.0) > 0.5;

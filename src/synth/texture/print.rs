@@ -50,7 +50,8 @@ impl Canvas {
                     let u = ((x - left) / (glyph_width * 0.8) * 5.0) as i32;
                     let v = ((y - top) / (line_height * 0.78) * 7.0) as i32;
                     // Half of a letter's cells are ink, and strokes prefer the left and middle.
-                    let stroke = noise::hash(letter, u, v, 11) < if u == 0 || v % 3 == 0 { 0.75 } else { 0.22 };
+                    let stroke =
+                        noise::hash(letter, u, v, 11) < if u == 0 || v % 3 == 0 { 0.75 } else { 0.22 };
                     stroke.then_some(color)
                 });
             }
@@ -138,7 +139,8 @@ pub(in crate::synth) fn label(aspect: f32, pixels: u32, rng: &mut ChaCha8Rng) ->
         let (x, y) = (rng.between(0.03, 0.3), rng.between(0.03, 0.75));
         let (dx, dy) = (rng.between(0.4, 0.9), rng.between(0.1, 0.4));
         let lines = if rng.chance(0.4) { 1 } else { rng.count(2, 5) };
-        let color = if rng.chance(0.5) { ink } else { Color::repeat(if paper.sum() > 1.5 { 0.08 } else { 0.93 }) };
+        let color =
+            if rng.chance(0.5) { ink } else { Color::repeat(if paper.sum() > 1.5 { 0.08 } else { 0.93 }) };
         canvas.text([x, y], [(x + dx).min(0.98), (y + dy).min(0.98)], lines, color, seed ^ k);
     }
     if rng.chance(0.3) {
