@@ -1,10 +1,6 @@
 //! Whole training runs at the smallest size: the loss falls, resuming is exact, failures are clean.
 
-use std::{
-    path::Path,
-    sync::{Arc, atomic::AtomicBool},
-    time::Duration,
-};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use burn::tensor::Device;
 use unopose::{
@@ -28,7 +24,7 @@ fn options(folder: &Path, name: &str) -> TrainOptions {
         time_limit: None,
         stop_at: None,
         device: Device::default(),
-        stop: Arc::new(AtomicBool::new(false)),
+        interrupt: Arc::default(),
     }
 }
 

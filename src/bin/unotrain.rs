@@ -3,10 +3,7 @@
 use std::{
     path::{Path, PathBuf},
     process::ExitCode,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::Arc,
     time::Duration,
 };
 
@@ -16,7 +13,7 @@ use unopose::{
     config::Config,
     device::{DeviceChoice, keep_freed_memory},
     report::Table,
-    train::{Ending, TrainOptions, TrainOutcome, train},
+    train::{Ending, Interrupt, TrainOptions, TrainOutcome, train},
 };
 
 /// Train UNOPose. Without data it generates its synthetic training and validation sets first; an interrupted run goes
@@ -71,10 +68,19 @@ fn main() -> ExitCode {
     match run(Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", explain(&error));
             ExitCode::FAILURE
         }
     }
+}
+
+/// The message and those causes that it does not contain already.
+fn explain(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        known if known.contains(&cause) => text,
+        _ => format!("{text}: {cause}"),
+    })
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {
@@ -88,14 +94,13 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         .transpose()?;
     let (device, backend) = arguments.device.open()?;
     let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
-    let stop = Arc::new(AtomicBool::new(false));
-    let signalled = stop.clone();
+    let interrupt = Arc::new(Interrupt::default());
+    let signalled = interrupt.clone();
     ctrlc::set_handler(move || {
-        // The second Ctrl-C does not wait.
-        if signalled.swap(true, Ordering::Relaxed) {
+        if !signalled.request() {
             std::process::exit(130);
         }
-        eprintln!("saving; press Ctrl-C again to leave at once (finished shards and checkpoints stay)");
+        eprintln!("saving; press Ctrl-C again to leave at once");
     })
     .context("cannot handle Ctrl-C")?;
     eprintln!("run {} on {backend}, results in {}", config.name, out.display());
@@ -107,7 +112,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         time_limit,
         stop_at: arguments.stop_at,
         device,
-        stop,
+        interrupt,
     };
     let outcome = train(&config, &options)?;
     print_summary(&outcome, &config, &out);
@@ -117,7 +122,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
 fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     let built_in = path.to_str().filter(|name| unopose::config::EMBEDDED_NAMES.contains(name));
     Ok(match built_in {
-        Some(name) if !path.exists() => Config::embedded(name, overrides)?,
+        Some(name) if !path.is_file() => Config::embedded(name, overrides)?,
         _ => Config::load(path, overrides)?,
     })
 }

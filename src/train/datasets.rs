@@ -3,13 +3,10 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex, PoisonError},
 };
 
-use super::{TrainError, progress::Progress, validation::Validation};
+use super::{TrainError, interrupt::Interrupt, progress::Progress, validation::Validation};
 use crate::{
     config::{Config, SynthConfig},
     data::PairSampler,
@@ -31,11 +28,11 @@ pub struct Datasets {
 
 impl Datasets {
     /// Opens the configured folders. Where none is configured, opens `<root>/<name>/train` or `/val`, generated first
-    /// as far as it is not there; `None` when `stop` was set meanwhile.
+    /// as far as it is not there; `None` when the run was interrupted meanwhile.
     pub fn open_or_generate(
         config: &Config,
         root: &Path,
-        stop: &AtomicBool,
+        interrupt: &Interrupt,
     ) -> Result<Option<Self>, TrainError> {
         let root = root.join(&config.name);
         let folder = |given: &Option<PathBuf>, name: &str, synth: SynthConfig, label| match given {
@@ -43,12 +40,12 @@ impl Datasets {
             None => generate(&synth, root.join(name), label),
         };
         let training = folder(&config.data.train, "train", config.synth.clone(), "training set")?;
-        if stop.load(Ordering::Relaxed) {
+        if interrupt.is_requested() {
             return Ok(None);
         }
         let synth = validation_synth(config);
         let validation_folder = folder(&config.data.validation, "val", synth, "validation set")?;
-        if stop.load(Ordering::Relaxed) {
+        if interrupt.is_requested() {
             return Ok(None);
         }
         let open = |folder: &Path| -> Result<Arc<ShardDataset>, TrainError> {

@@ -11,6 +11,7 @@ mod error;
 mod failure;
 mod figures;
 mod gradients;
+mod interrupt;
 mod journal;
 mod optimization;
 mod progress;
@@ -20,6 +21,7 @@ mod state;
 mod validation;
 
 pub use error::TrainError;
+pub use interrupt::Interrupt;
 pub use journal::{Event, Journal, StepRecord, ValidationRecord};
 pub use optimization::Optimization;
 pub use run::{Ending, TrainOptions, TrainOutcome, train};

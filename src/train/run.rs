@@ -3,10 +3,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -16,6 +13,7 @@ use super::{
     TrainError,
     datasets::Datasets,
     failure, figures,
+    interrupt::Interrupt,
     journal::{Event, Journal, StepRecord, ValidationRecord},
     optimization::Optimization,
     progress,
@@ -49,7 +47,7 @@ pub struct TrainOptions {
     /// Save and leave when the run has taken this many steps, as after Ctrl-C.
     pub stop_at: Option<u64>,
     /// Set from outside (Ctrl-C) to save and leave.
-    pub stop: Arc<AtomicBool>,
+    pub interrupt: Arc<Interrupt>,
 }
 
 /// Why a call ended.
@@ -80,10 +78,11 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;
         return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
     }
-    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.stop)? else {
+    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.interrupt)? else {
         let step = state::read_progress(&options.out)?.map_or(0, |(step, _)| step);
         return Ok(TrainOutcome { ending: Ending::Interrupted, step, validations: Vec::new() });
     };
+    options.interrupt.training_begins();
     Run::begin(config, options, datasets, begin)?.go()
 }
 
@@ -173,7 +172,7 @@ impl<'a> Run<'a> {
         let mut ending = Ending::Finished;
         while self.optimization.step() < train.steps {
             let enough = self.options.stop_at.is_some_and(|stop| self.optimization.step() >= stop);
-            if enough || self.options.stop.load(Ordering::Relaxed) {
+            if enough || self.options.interrupt.is_requested() {
                 ending = Ending::Interrupted;
                 break;
             }
