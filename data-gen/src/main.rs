@@ -42,6 +42,9 @@ struct Arguments {
     /// Threads; 0: one per core. The result does not depend on it.
     #[arg(long, default_value_t = 0)]
     jobs: usize,
+    /// Layout of the set: training shards, or a test set with targets and references.
+    #[arg(long, value_enum, default_value_t = Format::Megapose)]
+    format: Format,
     /// Only these shards, for sets made on many machines; a last call without it writes models and index files.
     #[arg(long, value_parser = parse_range)]
     shards: Option<Range<u32>>,
@@ -55,6 +58,12 @@ enum Preset {
     Tiny,
     Small,
     Full,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Megapose,
+    Bop,
 }
 
 fn parse_range(text: &str) -> Result<Range<u32>, String> {
@@ -99,19 +108,23 @@ fn main() -> Result<()> {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let arguments = Arguments::parse();
+    if arguments.format == Format::Bop && (arguments.shards.is_some() || arguments.contact_sheet.is_some()) {
+        bail!("--shards and --contact-sheet belong to --format megapose");
+    }
     let config = configuration(&arguments)?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.jobs).build().context("thread pool")?;
     let started = std::time::Instant::now();
     let bar = Bar::default();
     let report = |progress: Progress| bar.show(progress);
     let summary = pool.install(|| match arguments.shards.clone() {
+        _ if arguments.format == Format::Bop => synth::generate_bop(&config, &arguments.out, &report),
         Some(shards) => synth::generate_shards(&config, &arguments.out, shards, &report),
         None => synth::generate(&config, &arguments.out, &report),
     })?;
     let seconds = started.elapsed().as_secs_f64();
     let rate = summary.images_written as f64 / seconds.max(1e-9);
     println!(
-        "{}: {} images in {} shards written, {} shards kept, {seconds:.1} s ({rate:.1} images/s)",
+        "{}: {} images in {} parts written, {} parts kept, {seconds:.1} s ({rate:.1} images/s)",
         arguments.out.display(),
         summary.images_written,
         summary.shards_written,

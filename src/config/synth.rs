@@ -163,7 +163,7 @@ impl Default for SensorConfig {
             misalignment: 0.8,
             color_noise: 2.5,
             blur: 1.4,
-            brightness: [0.3, 0.6],
+            brightness: [0.32, 0.68],
             white_balance: 0.08,
             jpeg_quality: [85, 96],
         }

@@ -3,9 +3,12 @@
 //! [`generate`] fills a folder with MegaPose-style shards. Every shard is a function of (configuration, shard number)
 //! alone: random numbers come from per-item streams, so neither threads nor interruptions change a byte.
 
+mod bop_set;
 mod contact_sheet;
 mod error;
+mod folder;
 mod generate;
+mod models;
 mod object;
 mod photograph;
 mod physics;
@@ -16,6 +19,7 @@ mod shapes;
 mod shard;
 mod texture;
 
+pub use bop_set::generate_bop;
 pub use contact_sheet::contact_sheet;
 pub use error::SynthError;
 pub use generate::{Progress, Stage, Summary, generate, generate_shards};

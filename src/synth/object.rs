@@ -109,9 +109,8 @@ impl ObjectLibrary {
         let size = solid.mesh.bounds().size();
         let look = Look::draw(size, self.config.textureless, solid.symmetry.continuous, &mut look_rng);
         let mesh = texture::textured(&solid, &look, self.config.texture_size);
-        // A print or a pattern tells the sides apart, so only plain objects keep the symmetries of their shape.
-        let symmetries =
-            if look.textureless { object_symmetries(&solid.symmetry) } else { ObjectSymmetries::default() };
+        // A print or a coarse pattern tells the sides apart.
+        let symmetries = object_symmetries(&look.keep(solid.symmetry, &solid.parts));
         SynthObject::new(obj_id, format!("{}_{obj_id:06}", family.name()), mesh, look.finish, symmetries)
     }
 

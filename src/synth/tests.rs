@@ -271,3 +271,26 @@ fn collision_hulls_enclose_their_meshes() {
         }
     }
 }
+
+#[test]
+fn a_bop_set_has_targets_with_references_from_other_scenes() {
+    let config =
+        SynthConfig { images: 24, views_per_scene: 4, objects: 4, width: 320, height: 240, ..small() };
+    let folder = tempfile::tempdir().unwrap();
+    let summary = generate_bop(&config, folder.path(), &|_| {}).unwrap();
+    assert_eq!((summary.shards_written, summary.images_written), (6, 24));
+    let before = contents(folder.path());
+    let again = generate_bop(&config, folder.path(), &|_| {}).unwrap();
+    assert_eq!((again.shards_kept, again.images_written), (6, 0));
+    assert!(contents(folder.path()) == before);
+    let list = folder.path().join("test_ref_targets_crossscene_rot50.json");
+    let references = crate::formats::targets::read_reference_targets(&list).unwrap();
+    let split = crate::formats::BopDataset::open(folder.path()).unwrap().split("test").unwrap();
+    assert!(references.len() >= 10, "{} targets", references.len());
+    for target in &references {
+        assert_ne!(target.scene_id, target.ref_scene_id);
+        let image = split.load(target.ref_scene_id, target.ref_im_id).unwrap();
+        let reference = image.instances.iter().find(|i| i.obj_id == target.obj_id).unwrap();
+        assert!(reference.visib_fract >= 0.7 && target.rot_deg.unwrap() <= 50.0);
+    }
+}

@@ -9,7 +9,10 @@ use super::{
     pattern::{Color, Pattern},
     print,
 };
-use crate::{render::Finish, synth::random::Draw};
+use crate::{
+    render::Finish,
+    synth::{random::Draw, shapes::Symmetry},
+};
 
 /// A print on the surface.
 #[derive(Clone, Debug)]
@@ -61,8 +64,6 @@ pub(in crate::synth) struct Look {
     /// Strength and seed of scratches and stains.
     wear: (f32, u32),
     pub finish: Finish,
-    /// One colour per part and nothing else.
-    pub textureless: bool,
 }
 
 /// Distinct part numbers that families use.
@@ -96,7 +97,20 @@ impl Look {
             metallic: if metal { rng.between(0.6, 1.0) } else { 0.0 },
         };
         let wear = if textureless || rng.chance(0.5) { 0.0 } else { rng.between(0.1, 0.7) };
-        Self { patterns, decals, wear: (wear, rng.count(0, 1 << 30) as u32), finish, textureless }
+        Self { patterns, decals, wear: (wear, rng.count(0, 1 << 30) as u32), finish }
+    }
+
+    /// What is left of a shape's symmetry with these colours on the given parts.
+    pub fn keep(&self, symmetry: Symmetry, parts: &[u8]) -> Symmetry {
+        let used: Vec<&Pattern> = (0..PARTS)
+            .filter(|&k| parts.iter().any(|&p| p as usize % PARTS == k))
+            .map(|k| &self.patterns[k])
+            .collect();
+        let (plain, axial) = (used.iter().all(|p| p.is_even()), used.iter().all(|p| p.is_axial()));
+        if !self.decals.is_empty() || self.wear.0 > 0.0 || !axial {
+            return Symmetry::default();
+        }
+        Symmetry { flip: symmetry.flip && plain, ..symmetry }
     }
 
     /// sRGB at a surface point.

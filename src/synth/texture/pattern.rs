@@ -105,6 +105,17 @@ impl Pattern {
         pattern
     }
 
+    /// Looks the same (but for grain finer than the pixels) after rotations about z.
+    pub fn is_axial(&self) -> bool {
+        let upright = self.frame.matrix().is_identity(1e-6);
+        self.is_even() || upright && matches!(self.kind, Kind::Bands(_) | Kind::Gradient)
+    }
+
+    /// Looks the same everywhere, but for grain finer than the pixels.
+    pub fn is_even(&self) -> bool {
+        matches!(self.kind, Kind::Plain | Kind::Brushed | Kind::Weave | Kind::Speckle(_))
+    }
+
     fn new(kind: Kind, rng: &mut ChaCha8Rng) -> Self {
         let first = object_color(rng);
         let related = rng.chance(0.4);
