@@ -93,7 +93,7 @@ impl ObjectLibrary {
         if !self.files.is_empty() && shape_rng.chance(self.config.mesh_share) {
             // Every file is used before one comes again.
             let file = &self.files[obj_id as usize % self.files.len()];
-            match self.from_file(obj_id, file, diameter) {
+            match self.load_file(obj_id, file, diameter) {
                 Ok(object) => return object,
                 Err(error) => tracing::warn!("object {obj_id}: {error}; a procedural object takes its place"),
             }
@@ -114,7 +114,7 @@ impl ObjectLibrary {
         SynthObject::new(obj_id, format!("{}_{obj_id:06}", family.name()), mesh, look.finish, symmetries)
     }
 
-    fn from_file(&self, obj_id: u32, file: &Path, diameter: f32) -> Result<SynthObject, SynthError> {
+    fn load_file(&self, obj_id: u32, file: &Path, diameter: f32) -> Result<SynthObject, SynthError> {
         let mut mesh = mesh::load(file, self.config.mesh_scale)?;
         mesh.center_on_bounds();
         let own = mesh.diameter();
