@@ -80,6 +80,22 @@ pub fn is_host(device: &Device) -> bool {
     [flex(), ndarray()].into_iter().flatten().any(|(host, _)| host == plain)
 }
 
+/// Lets glibc keep freed blocks of any size instead of returning them to the system: a training step allocates and frees
+/// gigabytes in blocks of megabytes, and clearing fresh pages for them took 29 % of its time (`perf record` of
+/// `cargo bench --bench train_step`; 1.53 s per step before, 1.42 s after). No effect on other C libraries.
+#[allow(unsafe_code)]
+pub fn keep_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    for (parameter, bytes) in [
+        (libc::M_MMAP_THRESHOLD, i32::MAX),
+        (libc::M_TRIM_THRESHOLD, i32::MAX),
+        (libc::M_TOP_PAD, 64 << 20),
+    ] {
+        // SAFETY: mallopt only sets allocator parameters; it is called before other threads start.
+        unsafe { libc::mallopt(parameter, bytes) };
+    }
+}
+
 type Opened = Result<(Device, DeviceChoice), DeviceError>;
 
 #[cfg(feature = "flex")]
