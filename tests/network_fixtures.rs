@@ -202,7 +202,7 @@ fn evaluation_matches_the_official_network() {
 
         let views: Vec<_> = pairs.iter().map(|(q, r)| (q, r)).collect();
         let uniforms: Vec<Vec<f32>> = (0..2).map(|b| fixture.item("uniform", b).to_vec()).collect();
-        let estimates = estimate_pairs(&model, &config, &views, Uniforms::Given(&uniforms), &device);
+        let estimates = estimate_pairs(&model, &config, &views, Uniforms::Given(&uniforms), &device).unwrap();
         for (b, estimate) in estimates.iter().enumerate() {
             let expected = fixture.pose("pred_R", "pred_t", b, 1.0);
             let angle = estimate.t_query_reference.rotation_angle_deg(&expected);

@@ -6,6 +6,7 @@
 //! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
 //! memory.
 
+mod benchmark;
 mod bins;
 mod error;
 mod matching;
@@ -16,6 +17,7 @@ mod scores;
 mod scoring;
 mod vsd;
 
+pub use benchmark::{score_poses, write_poses};
 pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible};
 pub use error::EvalError;
 pub use matching::match_estimates;

@@ -24,4 +24,18 @@ impl RgbdFrame {
     pub fn height(&self) -> u32 {
         self.rgb.height()
     }
+
+    /// All points of a mask with a depth measurement, metres, camera frame, row by row. Pixels of the mask outside the
+    /// depth image have none.
+    pub fn masked_points(&self, mask: &Mask) -> Vec<[f32; 3]> {
+        let DepthMap { width, height, .. } = self.depth;
+        mask.pixels()
+            .filter(|&(col, row)| col < width && row < height)
+            .filter_map(|(col, row)| {
+                let depth = Some(self.depth.get(col, row)).filter(|z| z.is_finite() && *z > 0.0)?;
+                let p = self.intrinsics.back_project(col.into(), row.into(), depth.into());
+                Some([p.x as f32, p.y as f32, p.z as f32])
+            })
+            .collect()
+    }
 }

@@ -7,6 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::InferError;
 use crate::{
     config::{ModelConfig, OverlapMode},
     data::{CloudInput, PreparedReference, metric_pose, positional_groups},
@@ -47,10 +48,27 @@ pub struct StageTimes {
     pub solve: f64,
 }
 
-/// A reference (or a batch of them) on the device with everything that does not depend on the query.
+impl StageTimes {
+    /// Of one of `count` pairs.
+    pub fn divided(&self, count: usize) -> Self {
+        let share = |seconds: f64| seconds / count.max(1) as f64;
+        Self {
+            encode: share(self.encode),
+            coarse: share(self.coarse),
+            hypotheses: share(self.hypotheses),
+            fine: share(self.fine),
+            solve: share(self.solve),
+        }
+    }
+
+    pub fn total(&self) -> f64 {
+        self.encode + self.coarse + self.hypotheses + self.fine + self.solve
+    }
+}
+
+/// What the network computes of a reference (or a batch of them) without a query, on the device.
 #[derive(Clone, Debug)]
 pub struct EncodedReferences {
-    cloud: CloudTensors,
     features: CloudFeatures,
     /// Positional encoding `[B, N, C]`, absent without a fine stage.
     position: Option<Tensor<3>>,
@@ -61,22 +79,55 @@ pub struct EncodedReferences {
 pub enum Uniforms<'a> {
     /// A stream per pair from a seed and the pair's position in the list.
     Seed(u64),
+    /// The same stream for every pair: a pose does not depend on the pairs around it.
+    Shared(u64),
     /// Given numbers in [0, 1), one list per pair (parity checks).
     Given(&'a [Vec<f32>]),
 }
 
 impl Uniforms<'_> {
     fn stream(&self, index: usize) -> impl FnMut() -> f32 {
-        let mut rng = ChaCha8Rng::seed_from_u64(if let Self::Seed(seed) = self { *seed } else { 0 });
-        rng.set_stream(index as u64);
+        let (seed, stream) = match self {
+            Self::Seed(seed) => (*seed, index as u64),
+            Self::Shared(seed) => (*seed, 0),
+            Self::Given(_) => (0, 0),
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(stream);
         let mut given = match self {
-            Self::Seed(_) => None,
-            Self::Given(lists) => Some(lists[index].iter().copied()),
+            Self::Seed(_) | Self::Shared(_) => None,
+            Self::Given(lists) => Some(lists.get(index).into_iter().flatten().copied()),
         };
         move || match &mut given {
             None => rng.random(),
             Some(list) => list.next().unwrap_or(0.0),
         }
+    }
+}
+
+impl EncodedReferences {
+    /// Several as one batch, in order; `None` for none.
+    pub fn batch(items: &[&Self]) -> Option<Self> {
+        fn joined<const D: usize>(tensors: impl Iterator<Item = Tensor<D>>) -> Tensor<D> {
+            Tensor::cat(tensors.collect(), 0)
+        }
+        let all = || items.iter();
+        let positions: Option<Vec<_>> = all().map(|item| item.position.clone()).collect();
+        (!items.is_empty()).then(|| Self {
+            features: CloudFeatures {
+                dense: joined(all().map(|item| item.features.dense.clone())),
+                embedding: joined(all().map(|item| item.features.embedding.clone())),
+            },
+            position: positions.map(|positions| joined(positions.into_iter())),
+        })
+    }
+
+    /// Size on the device.
+    pub fn bytes(&self) -> usize {
+        let position = self.position.as_ref().map_or(0, |p| p.shape().num_elements());
+        let numbers =
+            self.features.dense.shape().num_elements() + self.features.embedding.shape().num_elements();
+        4 * (numbers + position)
     }
 }
 
@@ -94,7 +145,7 @@ pub fn encode_references(
         let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
         stage.position(&group_tensors(&groups, config, device))
     });
-    EncodedReferences { cloud, features, position }
+    EncodedReferences { features, position }
 }
 
 /// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
@@ -104,10 +155,10 @@ pub fn estimate_pairs(
     pairs: &[(&CloudInput, &PreparedReference)],
     uniforms: Uniforms<'_>,
     device: &Device,
-) -> Vec<PairEstimate> {
+) -> Result<Vec<PairEstimate>, InferError> {
     let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
     let encoded = encode_references(model, config, &references, device);
-    estimate_encoded(model, config, pairs, &encoded, uniforms, device).0
+    Ok(estimate_encoded(model, config, pairs, &encoded, uniforms, device)?.0)
 }
 
 /// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
@@ -118,24 +169,26 @@ pub fn estimate_encoded(
     references: &EncodedReferences,
     uniforms: Uniforms<'_>,
     device: &Device,
-) -> (Vec<PairEstimate>, StageTimes) {
+) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
     let mut times = StageTimes::default();
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
     if pairs.is_empty() {
-        return (Vec::new(), times);
+        return Ok((Vec::new(), times));
     }
     let queries: Vec<&CloudInput> = pairs.iter().map(|p| p.0).collect();
     let query = CloudTensors::from_clouds(&queries, config, device);
     let query_features = model.encode(&query);
+    let clouds: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
+    let reference = CloudTensors::from_clouds(&clouds, config, device);
     times.encode = lap();
 
-    let coarse = model.coarse(
-        (&query, &query_features),
-        (&references.cloud, &references.features),
-        Supervision::LastBlock,
-    );
-    let coarse = coarse.last().map(|block| host_assignments(block, config)).unwrap_or_default();
+    let coarse =
+        model.coarse((&query, &query_features), (&reference, &references.features), Supervision::LastBlock);
+    let coarse = match coarse.last() {
+        Some(block) => host_assignments(block, config)?,
+        None => Vec::new(),
+    };
     times.coarse = lap();
 
     let initial: Vec<_> = pairs
@@ -173,10 +226,10 @@ pub fn estimate_encoded(
             let groups = group_tensors(&groups.iter().collect::<Vec<_>>(), config, device);
             let blocks = model.fine(
                 (&query, &query_features, stage.position(&groups)),
-                (&references.cloud, &references.features, reference_position.clone()),
+                (&reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
-            blocks.last().map(|block| host_assignments(block, config))
+            blocks.last().map(|block| host_assignments(block, config)).transpose()?
         }
         _ => None,
     };
@@ -209,7 +262,7 @@ pub fn estimate_encoded(
         })
         .collect();
     times.solve = lap();
-    (estimates, times)
+    Ok((estimates, times))
 }
 
 /// An assignment on the host with the mean overlaps behind it.
@@ -219,11 +272,12 @@ struct Matched {
 }
 
 /// Similarities and overlaps of a block to one assignment per pair.
-fn host_assignments(block: &BlockOutput, config: &ModelConfig) -> Vec<Matched> {
+fn host_assignments(block: &BlockOutput, config: &ModelConfig) -> Result<Vec<Matched>, InferError> {
     let [batch, rows, columns] = block.similarity.dims();
-    let similarity = host(block.similarity.clone());
-    let [query, reference] = block.overlap_probability().map(host);
-    (0..batch)
+    let similarity = host(block.similarity.clone(), "similarities")?;
+    let [query, reference] = block.overlap_probability();
+    let (query, reference) = (host(query, "overlaps")?, host(reference, "overlaps")?);
+    let matched = (0..batch)
         .into_par_iter()
         .map(|b| {
             let (n, m) = (rows - 1, columns - 1);
@@ -239,7 +293,8 @@ fn host_assignments(block: &BlockOutput, config: &ModelConfig) -> Vec<Matched> {
             let similarity = &similarity[b * rows * columns..(b + 1) * rows * columns];
             Matched { assignment: match_assignment(similarity, weights[0], weights[1]), mean_overlap }
         })
-        .collect()
+        .collect();
+    Ok(matched)
 }
 
 /// The fine stage's confidence (section 6) on the coarse matches.
@@ -260,6 +315,6 @@ fn coarse_confidence(
     near / (total + 1e-8) * (total / foreground.len().max(1) as f64)
 }
 
-fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.try_into_vec_as::<f32>().unwrap_or_default()
+fn host<const D: usize>(tensor: Tensor<D>, what: &'static str) -> Result<Vec<f32>, InferError> {
+    tensor.try_into_vec_as::<f32>().map_err(InferError::readback(what))
 }

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError, mesh::MeshError,
-    report::ReportError, synth::SynthError,
+    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError, infer::InferError,
+    mesh::MeshError, report::ReportError, synth::SynthError,
 };
 
 #[derive(Debug, thiserror::Error)]
@@ -23,6 +23,8 @@ pub enum TrainError {
     Synth(#[from] SynthError),
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    #[error(transparent)]
+    Infer(#[from] InferError),
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("{}: {message}", path.display())]

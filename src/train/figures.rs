@@ -95,7 +95,7 @@ pub fn write_pose_sheet(
     let samples = validation.samples(0..validation.truths().len().min(SHOWN_PAIRS))?;
     let mut tiles = Vec::new();
     for (index, sample) in samples.iter().enumerate() {
-        let estimates = estimate(model, config, std::slice::from_ref(sample), index as u64, device);
+        let estimates = estimate(model, config, std::slice::from_ref(sample), index as u64, device)?;
         let Some(estimate) = estimates.first() else { continue };
         let truth = true_pose(sample);
         let reference = validation.source().load(sample.key.reference_image)?;

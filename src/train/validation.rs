@@ -15,7 +15,7 @@ use crate::{
     eval::{EvalObject, PoseErrors, TestView},
     formats::{FormatError, ObjectSymmetries},
     geometry::Pose,
-    infer::{PairEstimate, Uniforms, estimate_pairs},
+    infer::{InferError, PairEstimate, Uniforms, estimate_pairs},
     loss::pair_losses,
     model::{PairTensors, UnoPose},
 };
@@ -107,7 +107,7 @@ impl Validation {
             let batch = PairTensors::from_samples(&samples, &config.model, device);
             let losses = pair_losses(&config.loss, &model.forward_train(&batch), &batch);
             loss += f64::from(losses.total.into_scalar::<f32>()) * samples.len() as f64;
-            let estimates = estimate(model, config, &samples, first as u64, device);
+            let estimates = estimate(model, config, &samples, first as u64, device)?;
             let poses = |of: fn(&PairEstimate) -> Pose| -> Vec<Pose> {
                 let of_pair = |((truth, sample), estimate): ((&Truth, &TrainSample), &PairEstimate)| {
                     truth.implied(&true_pose(sample), &of(estimate))
@@ -164,7 +164,7 @@ pub fn estimate(
     samples: &[TrainSample],
     first: u64,
     device: &Device,
-) -> Vec<PairEstimate> {
+) -> Result<Vec<PairEstimate>, InferError> {
     let pairs: Vec<(&CloudInput, &PreparedReference)> =
         samples.iter().map(|s| (&s.query, &s.reference)).collect();
     estimate_pairs(model, &config.model, &pairs, Uniforms::Seed(config.seed.wrapping_add(first)), device)

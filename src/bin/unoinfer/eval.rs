@@ -1,0 +1,80 @@
+//! `unoinfer eval`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use unopose::{
+    eval::{score_poses, write_poses},
+    infer::{Refinement, TargetFiles, TargetList, estimate_targets},
+};
+
+use super::{options::EstimatorOptions, progress::Progress, score};
+
+#[derive(Args)]
+pub struct EvalArguments {
+    /// BOP dataset folder
+    #[arg(long, value_name = "DIR")]
+    dataset: PathBuf,
+    /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id
+    #[arg(long, value_name = "JSON")]
+    targets: PathBuf,
+    /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "JSON")]
+    detections: PathBuf,
+    /// Folder for the result table, scores.json, errors.json and rejected.json
+    #[arg(long, value_name = "DIR", default_value = "eval")]
+    out: PathBuf,
+    /// Split of the targets [default: test, or the first that begins so]
+    #[arg(long)]
+    split: Option<String>,
+    /// Split of the reference views [default: that of the targets]
+    #[arg(long)]
+    reference_split: Option<String>,
+    /// Targets that recall counts [default: those of --targets]
+    #[arg(long, value_name = "JSON")]
+    score_targets: Option<PathBuf>,
+    /// Only the first N entries of the target list
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    #[command(flatten)]
+    estimator: EstimatorOptions,
+}
+
+pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
+    let list = TargetList::open(&TargetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: arguments.reference_split.clone(),
+        targets: arguments.targets.clone(),
+        detections: arguments.detections.clone(),
+        limit: arguments.limit,
+    })?;
+    let estimator = arguments.estimator.estimator()?;
+    eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
+    let progress = Progress::new("estimating");
+    let poses = estimate_targets(&estimator, &list, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    let method = match estimator.refinement() {
+        Refinement::None => "unopose",
+        Refinement::Icp => "unopose-icp",
+    };
+    let table = write_poses(&list, &poses, method, &arguments.out)?;
+    let progress = Progress::new("scoring");
+    let show = |done, total| progress.set(done, total);
+    let evaluation = score_poses(&list, &poses, arguments.score_targets.as_deref(), &show)?;
+    progress.finish();
+    evaluation.write(&arguments.out)?;
+    score::print(&evaluation);
+    let (references, seconds) = (poses.references, poses.reference_seconds);
+    println!(
+        "{} pairs, {references} references ({:.3} s each, included above)",
+        poses.pairs,
+        seconds / references.max(1) as f64
+    );
+    if !poses.rejections.is_empty() {
+        println!("{} without a pose:", poses.rejections.len());
+        poses.reasons().iter().for_each(|(reason, count)| println!("  {count} x {reason}"));
+    }
+    println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
+    Ok(())
+}

@@ -1,0 +1,45 @@
+//! `unoinfer`: poses of objects against one reference view, evaluation on BOP datasets, scoring of result tables.
+
+mod estimate;
+mod eval;
+mod options;
+mod progress;
+mod score;
+
+use clap::{Parser, Subcommand};
+
+/// One-reference 6-DoF pose estimation of unseen objects (UNOPose).
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Estimate the pose of instances in query views relative to a reference view
+    Estimate(estimate::EstimateArguments),
+    /// Estimate every target of a BOP dataset and score the poses
+    Eval(eval::EvalArguments),
+    /// Score a BOP result table
+    Score(score::ScoreArguments),
+}
+
+fn main() -> std::process::ExitCode {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    let done = match Arguments::parse().command {
+        Command::Estimate(arguments) => estimate::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Score(arguments) => score::run(&arguments),
+    };
+    match done {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            std::process::ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! What `estimate` and `eval` share.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use unopose::{
+    device::DeviceChoice,
+    infer::{InferError, PoseEstimator, Refinement},
+};
+
+/// The network and how it runs.
+#[derive(Args)]
+pub struct EstimatorOptions {
+    /// Weights [default: checkpoints/geo.safetensors beside the binary or in the working directory, else the embedded
+    /// ones]
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Compute device: auto, flex, ndarray, wgpu or cuda
+    #[arg(long, default_value = "auto")]
+    device: DeviceChoice,
+    /// Refinement after the network: none, or icp (local, at most 30 mm and 15 degrees)
+    #[arg(long, default_value = "none")]
+    refine: Refinement,
+    /// Seed of point sampling and pose hypotheses
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+impl EstimatorOptions {
+    pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
+        let estimator = match &self.checkpoint {
+            Some(path) => PoseEstimator::load(path, self.device)?,
+            None => PoseEstimator::load_default(self.device)?,
+        };
+        Ok(estimator.with_seed(self.seed).with_refinement(self.refine))
+    }
+}

@@ -1,0 +1,39 @@
+//! Why there is no pose.
+
+use std::path::PathBuf;
+
+use crate::{checkpoint::CheckpointError, data::DataError, device::DeviceError, formats::FormatError};
+
+/// Error of the `infer` room.
+#[derive(Debug, thiserror::Error)]
+pub enum InferError {
+    #[error("unusable reference: {0}")]
+    Reference(#[source] DataError),
+    #[error("unusable query: {0}")]
+    Query(#[source] DataError),
+    #[error("the network's {what} cannot be read back from the device: {message}")]
+    Readback { what: &'static str, message: String },
+    #[error("the forward pass failed: {message}")]
+    Forward { message: String },
+    #[error("the estimated pose is not finite, expected one: are the checkpoint's weights broken?")]
+    NotFinite,
+    #[error("unknown refinement {0:?}, expected none or icp")]
+    Refinement(String),
+    #[error(
+        "no checkpoint: looked for {}, and none is embedded in this build; name one with --checkpoint",
+        looked.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")
+    )]
+    NoCheckpoint { looked: Vec<PathBuf> },
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
+}
+
+impl InferError {
+    pub(super) fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
+        move |error: E| Self::Readback { what, message: error.to_string() }
+    }
+}
