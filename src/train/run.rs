@@ -1,21 +1,19 @@
 //! The training loop.
 
 use std::{
-    fs,
-    path::{Path, PathBuf},
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 
 use super::{
     TrainError,
     datasets::Datasets,
-    failure, figures,
-    interrupt::Interrupt,
+    failure, figures, folder,
     journal::{Event, Journal, StepRecord, ValidationRecord},
     optimization::Optimization,
+    options::{Ending, TrainOptions, TrainOutcome},
     progress,
     schedule::{Schedule, TimeBudget},
     state::{self, Progress},
@@ -25,56 +23,15 @@ use crate::{
     checkpoint::{self, Meta},
     config::Config,
     data::{BatchStream, TrainSample},
-    formats::write_atomic,
     loss::{Losses, pair_losses},
     model::{PairTensors, UnoPose},
 };
 
-/// What a call adds to the configuration.
-pub struct TrainOptions {
-    /// Run folder.
-    pub out: PathBuf,
-    /// Where synthetic data are kept: `<data_root>/<name>`.
-    pub data_root: PathBuf,
-    /// Start from these weights when the folder has no checkpoint.
-    pub init: Option<PathBuf>,
-    /// Delete an earlier run in the folder instead of going on with it.
-    pub fresh: bool,
-    /// End after this time, data generation, validation and report included.
-    pub time_limit: Option<Duration>,
-    /// Without autodiff.
-    pub device: Device,
-    /// Save and leave when the run has taken this many steps, as after Ctrl-C.
-    pub stop_at: Option<u64>,
-    /// Set from outside (Ctrl-C) to save and leave.
-    pub interrupt: Arc<Interrupt>,
-}
-
-/// Why a call ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
-    /// An earlier call took the last step.
-    AlreadyFinished,
-    Finished,
-    TimeUp,
-    Interrupted,
-}
-
-/// What a call did.
-#[derive(Clone, Debug)]
-pub struct TrainOutcome {
-    pub ending: Ending,
-    /// Steps of the run so far.
-    pub step: u64,
-    /// All validations of the run, in order.
-    pub validations: Vec<ValidationRecord>,
-}
-
 /// Trains, or goes on training, in `options.out`.
 pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
     let begin = Instant::now();
-    prepare_folder(config, options)?;
-    if let Some(step) = finished_step(config, &options.out)? {
+    folder::prepare(config, options)?;
+    if let Some(step) = folder::finished_step(config, &options.out)? {
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;
         return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
     }
@@ -182,8 +139,11 @@ impl<'a> Run<'a> {
                 break;
             }
             let step = self.optimization.step();
-            let position = budget.as_ref().map_or(step as f64, |b| b.position(step, train.steps, elapsed));
-            let record = self.step(&mut batches, self.schedule.learning_rate(position))?;
+            let (position, ramp) = match &budget {
+                Some(budget) => (budget.position(step, train.steps, elapsed), budget.ramp(elapsed)),
+                None => (step as f64, 1.0),
+            };
+            let record = self.step(&mut batches, ramp * self.schedule.learning_rate(position))?;
             bar.set(record.step, &format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate));
             self.journal.append(&Event::Step(record))?;
             self.keep_up(&bar)?;
@@ -322,31 +282,4 @@ fn validations(events: &[Event]) -> Vec<ValidationRecord> {
         Event::Step(_) => None,
     };
     events.iter().filter_map(of).collect()
-}
-
-/// Makes the folder, refuses a run of another network in it, writes the resolved configuration.
-fn prepare_folder(config: &Config, options: &TrainOptions) -> Result<(), TrainError> {
-    let out = &options.out;
-    let io = |source| TrainError::Io { path: out.clone(), source };
-    fs::create_dir_all(out).map_err(io)?;
-    if options.fresh {
-        state::clear(out).map_err(io)?;
-    }
-    let last = state::last_path(out);
-    if last.exists() {
-        let earlier = checkpoint::read_config(&last)?;
-        if let Some((field, theirs, ours)) =
-            checkpoint::differences(&earlier.model, &config.model).into_iter().next()
-        {
-            return Err(TrainError::OtherModel { path: last, field, theirs, ours });
-        }
-    }
-    let text = config.to_toml()?;
-    Ok(write_atomic(&out.join("config.toml"), |writer| std::io::Write::write_all(writer, text.as_bytes()))?)
-}
-
-/// The last step of a run that an earlier call finished.
-fn finished_step(config: &Config, out: &Path) -> Result<Option<u64>, TrainError> {
-    let done = state::read_progress(out)?.filter(|(step, p)| p.finished && *step >= config.train.steps);
-    Ok(done.map(|(step, _)| step))
 }

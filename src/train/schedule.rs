@@ -63,7 +63,15 @@ impl TimeBudget {
         let first = self.first_step as f64;
         (step as f64).max(first + (steps as f64 - first) * self.used(elapsed))
     }
+
+    /// Factor on the learning rate: the compressed warm-up may be over in no time, and a later call begins high.
+    pub fn ramp(&self, elapsed: Duration) -> f64 {
+        (self.used(elapsed) / RAMP_SHARE).min(1.0)
+    }
 }
+
+/// Share of the time in which a limited call raises its learning rate from zero.
+const RAMP_SHARE: f64 = 0.05;
 
 #[cfg(test)]
 mod tests {
@@ -101,5 +109,7 @@ mod tests {
         assert_eq!(budget.position(210, 1000, Duration::from_secs(50)), 600.0);
         assert_eq!(budget.position(700, 1000, Duration::from_secs(50)), 700.0);
         assert_eq!(budget.position(300, 1000, Duration::from_secs(500)), 1000.0);
+        let ramp = |ms| budget.ramp(Duration::from_millis(ms));
+        assert_eq!((ramp(0), ramp(2500), ramp(5000), ramp(90_000)), (0.0, 0.5, 1.0, 1.0));
     }
 }
