@@ -1,4 +1,32 @@
 //! One-reference 6-DoF pose estimation of unseen objects (UNOPose, CVPR 2025): training and inference.
+//!
+//! One RGB-D view of an object with a mask is the reference; [`infer::PoseEstimator`] finds the pose of the same object
+//! in other views. Rooms, and the direction of the data through them, are in `docs/architecture.md`.
+//!
+//! ```no_run
+//! use unopose::{
+//!     device::DeviceChoice,
+//!     infer::{PoseEstimator, ViewFiles},
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let view = |name: &str| ViewFiles {
+//!     rgb: format!("{name}/rgb.png").into(),
+//!     depth: format!("{name}/depth.png").into(),
+//!     masks: vec![format!("{name}/mask.png").into()],
+//!     camera: "camera.json".into(),
+//! };
+//! let (reference, query) = (view("reference").read()?, view("query").read()?);
+//!
+//! let estimator = PoseEstimator::load_default(DeviceChoice::Auto)?;
+//! let reference = estimator.reference(&reference.frame, &reference.masks[0])?;
+//! for estimate in estimator.estimate(&reference, &query.frame, &query.masks) {
+//!     let estimate = estimate?;
+//!     println!("{:?} score {:.2}", estimate.t_query_reference, estimate.score);
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod checkpoint;
 pub mod config;
