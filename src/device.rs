@@ -86,11 +86,9 @@ pub fn is_host(device: &Device) -> bool {
 #[allow(unsafe_code)]
 pub fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    for (parameter, bytes) in [
-        (libc::M_MMAP_THRESHOLD, i32::MAX),
-        (libc::M_TRIM_THRESHOLD, i32::MAX),
-        (libc::M_TOP_PAD, 64 << 20),
-    ] {
+    for (parameter, bytes) in
+        [(libc::M_MMAP_THRESHOLD, i32::MAX), (libc::M_TRIM_THRESHOLD, i32::MAX), (libc::M_TOP_PAD, 64 << 20)]
+    {
         // SAFETY: mallopt only sets allocator parameters; it is called before other threads start.
         unsafe { libc::mallopt(parameter, bytes) };
     }

@@ -75,7 +75,8 @@ impl RowBatchNorm {
 
     fn update(&self, mean: Tensor<2>, variance: Tensor<2>, count: Tensor<2>) {
         let unbiased = variance * (count.clone() / (count - 1.0).clamp_min(1.0));
-        let blend = |old: Tensor<1>, new: Tensor<2>| old * (1.0 - MOMENTUM) + new.squeeze_dim::<1>(0) * MOMENTUM;
+        let blend =
+            |old: Tensor<1>, new: Tensor<2>| old * (1.0 - MOMENTUM) + new.squeeze_dim::<1>(0) * MOMENTUM;
         self.running_mean.update(blend(self.running_mean.value_sync().inner(), mean));
         self.running_var.update(blend(self.running_var.value_sync().inner(), unbiased));
     }

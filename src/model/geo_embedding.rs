@@ -77,7 +77,8 @@ impl GeometricStructureEmbedding {
 /// Interleaved sin, cos of `index * exp(-2 i ln(10000) / C)`: `[n] -> [n, C]`.
 fn sinusoid(index: Tensor<1>, width: usize) -> Tensor<2> {
     let count = index.dims()[0];
-    let frequencies = Tensor::<2>::from_data(TensorData::new(frequencies(width), [1, width / 2]), &index.device());
+    let frequencies =
+        Tensor::<2>::from_data(TensorData::new(frequencies(width), [1, width / 2]), &index.device());
     let omega = index.unsqueeze_dim::<2>(1) * frequencies; // [n, C / 2]
     Tensor::stack::<3>(vec![omega.clone().sin(), omega.cos()], 2).reshape([count, width])
 }

@@ -1,11 +1,7 @@
 //! Positional encoding of the fine stage: a two-scale PointNet over ball neighbourhoods with offsets and local
 //! reference frame coordinates.
 
-use burn::{
-    module::Module,
-    nn::Linear,
-    tensor::Tensor,
-};
+use burn::{module::Module, nn::Linear, tensor::Tensor};
 
 use super::{batch_norm::RowBatchNorm, init::Initializer};
 use crate::config::FineConfig;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError, infer::InferError,
-    mesh::MeshError, report::ReportError, synth::SynthError,
+    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError,
+    infer::InferError, mesh::MeshError, report::ReportError, synth::SynthError,
 };
 
 #[derive(Debug, thiserror::Error)]
