@@ -237,6 +237,14 @@ fn training_losses_match_the_official_network() {
                 query_groups: positional_groups(&moved, &config),
                 query,
                 reference,
+                key: PairKey {
+                    index: b as u64,
+                    obj_id: 0,
+                    query_image: 0,
+                    query_instance: 0,
+                    reference_image: 0,
+                    reference_instance: 0,
+                },
             }
         })
         .collect();

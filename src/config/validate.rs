@@ -61,7 +61,7 @@ fn model(m: &ModelConfig) -> Result<(), ConfigError> {
     require(
         "model.geo_embedding.hidden_dim",
         g.hidden_dim,
-        g.hidden_dim >= 2 && g.hidden_dim % 2 == 0,
+        g.hidden_dim >= 2 && g.hidden_dim.is_multiple_of(2),
         "an even number of at least 2 (sine and cosine pairs)",
     )?;
     matching("model.coarse", &m.coarse, g.hidden_dim)?;

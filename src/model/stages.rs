@@ -1,5 +1,8 @@
 //! The coarse and the fine matching stage.
 
+// `PE` is the release's name, and derived code repeats it.
+#![allow(non_snake_case)]
+
 use burn::{
     module::{Module, Param},
     nn::Linear,
@@ -34,7 +37,6 @@ pub struct FinePointMatching {
     pub out_proj: Linear,
     pub bg_token: Param<Tensor<3>>,
     pub score_heads: Option<Vec<Linear>>,
-    #[allow(non_snake_case)]
     pub PE: PositionalEncoding,
     pub transformers: Vec<SparseToDenseTransformer>,
     temperature: f64,
