@@ -12,7 +12,7 @@ use unopose::{
         MatchingConfig, ModelConfig, OverlapMode, Quirks, VitConfig,
     },
     data::{
-        CloudInput, PreparedReference, TrainSample, positional_groups, query_from_points,
+        CloudInput, PairKey, PreparedReference, TrainSample, positional_groups, query_from_points,
         reference_from_points,
     },
     geometry::Pose,
