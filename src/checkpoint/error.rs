@@ -13,6 +13,10 @@ pub enum CheckpointError {
     Write(#[from] FormatError),
     #[error("{} is not a safetensors file: {message}", path.display())]
     Format { path: PathBuf, message: String },
+    #[error("{} is neither a safetensors file nor a readable PyTorch checkpoint: {message}", path.display())]
+    Pytorch { path: PathBuf, message: String },
+    #[error("this network cannot be written in the official form: {reason}")]
+    NoCounterpart { reason: String },
     #[error("{}: metadata {key} is {value}, expected {expected}", path.display())]
     Metadata { path: PathBuf, key: &'static str, value: String, expected: String },
     #[error("{}: the configuration inside cannot be used: {source}", path.display())]

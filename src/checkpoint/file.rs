@@ -26,26 +26,8 @@ impl TensorFile {
         Self::from_bytes(&bytes, path)
     }
 
-    /// [`Self::read`] without the tensors that `skip` names, whose names are returned; they may be of any type.
-    pub fn read_without(
-        path: &Path,
-        skip: impl Fn(&str) -> bool,
-    ) -> Result<(Self, Vec<String>), CheckpointError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
-        Self::parse(&bytes, path, skip)
-    }
-
     /// [`Self::read`] of a file that is already in memory; `path` is only for messages.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
-        Ok(Self::parse(bytes, path, |_| false)?.0)
-    }
-
-    fn parse(
-        bytes: &[u8],
-        path: &Path,
-        skip: impl Fn(&str) -> bool,
-    ) -> Result<(Self, Vec<String>), CheckpointError> {
         let format = |e: safetensors::SafeTensorError| CheckpointError::Format {
             path: path.to_owned(),
             message: e.to_string(),
@@ -53,15 +35,11 @@ impl TensorFile {
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
         let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
         let file = SafeTensors::deserialize(bytes).map_err(format)?;
-        let (mut tensors, mut skipped) = (BTreeMap::new(), Vec::new());
+        let mut tensors = BTreeMap::new();
         for (name, view) in file.iter() {
-            if skip(name) {
-                skipped.push(name.to_owned());
-            } else {
-                tensors.insert(name.to_owned(), read_tensor(path, name, &view)?);
-            }
+            tensors.insert(name.to_owned(), read_tensor(path, name, &view)?);
         }
-        Ok((Self { tensors, metadata }, skipped))
+        Ok(Self { tensors, metadata })
     }
 
     /// Writes the file in one rename: readers see the old file or the new one, never a part.
@@ -86,19 +64,41 @@ impl TensorFile {
 }
 
 fn read_tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<TensorData, CheckpointError> {
-    let error =
-        |message: String| CheckpointError::Tensor { path: path.to_owned(), name: name.to_owned(), message };
     let dtype = match view.dtype() {
+        Dtype::F64 => DType::F64,
         Dtype::F32 => DType::F32,
         Dtype::F16 => DType::F16,
         Dtype::BF16 => DType::BF16,
-        other => return Err(error(format!("type is {other:?}, expected F32, F16 or BF16"))),
+        other => return Err(wrong_type(path, name, &format!("{other:?}"))),
     };
-    let data =
-        TensorData::from_bytes_vec(view.data().to_vec(), view.shape().to_vec(), dtype).convert::<f32>();
+    as_f32(path, name, view.data().to_vec(), view.shape().to_vec(), dtype)
+}
+
+/// Stored bytes (little-endian) as finite f32.
+pub(super) fn as_f32(
+    path: &Path,
+    name: &str,
+    bytes: Vec<u8>,
+    shape: Vec<usize>,
+    dtype: DType,
+) -> Result<TensorData, CheckpointError> {
+    if !matches!(dtype, DType::F64 | DType::F32 | DType::F16 | DType::BF16) {
+        return Err(wrong_type(path, name, &format!("{dtype:?}")));
+    }
+    let error =
+        |message: String| CheckpointError::Tensor { path: path.to_owned(), name: name.to_owned(), message };
+    let data = TensorData::from_bytes_vec(bytes, shape, dtype).convert::<f32>();
     match data.as_slice::<f32>() {
         Ok(values) if values.iter().all(|v| v.is_finite()) => Ok(data),
         Ok(_) => Err(error("contains NaN or infinity".into())),
         Err(e) => Err(error(format!("{e:?}"))),
+    }
+}
+
+fn wrong_type(path: &Path, name: &str, dtype: &str) -> CheckpointError {
+    CheckpointError::Tensor {
+        path: path.to_owned(),
+        name: name.to_owned(),
+        message: format!("type is {dtype}, expected F32, F16, BF16 or F64"),
     }
 }

@@ -13,7 +13,7 @@ mod official;
 
 pub use error::{CheckpointError, Mismatch};
 pub use file::TensorFile;
-pub use official::load_official;
+pub use official::{OfficialSizes, OfficialState, export_official, load_official};
 
 use std::{collections::BTreeMap, path::Path};
 

@@ -9,6 +9,7 @@ mod error;
 mod load;
 mod loss;
 mod model;
+mod official;
 mod overrides;
 mod synth;
 mod train;
