@@ -44,3 +44,4 @@ pub mod render;
 pub mod report;
 pub mod synth;
 pub mod train;
+pub mod verify;

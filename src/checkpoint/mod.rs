@@ -156,6 +156,11 @@ fn tensors_of<M: Module>(model: &M, path: &Path) -> Result<BTreeMap<String, Tens
         .collect()
 }
 
+/// All parameters and buffers of a network on the host, under their official names and in PyTorch layouts.
+pub fn official_tensors<M: Module>(model: &M) -> Result<BTreeMap<String, TensorData>, CheckpointError> {
+    tensors_of(model, Path::new("the network"))
+}
+
 fn shapes_of<M: Module>(model: &M) -> BTreeMap<String, Vec<usize>> {
     let tensors = model.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
     tensors.into_iter().map(|tensor| (tensor.name.clone(), tensor.shape.to_vec())).collect()

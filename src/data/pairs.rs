@@ -51,7 +51,7 @@ pub struct TrainSample {
 }
 
 /// Where a pair came from: image and instance numbers of the dataset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PairKey {
     /// Sample number.
     pub index: u64,

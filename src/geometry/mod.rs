@@ -20,7 +20,9 @@ pub use assignment::{Assignment, match_assignment};
 pub use camera::{Intrinsics, IntrinsicsError};
 pub use coarse_pose::{CoarsePose, Hypothesis, coarse_pose, match_distribution};
 pub use fine_pose::{FinePose, fine_pose};
-pub use neighbors::{BallGroups, BallQuery, ball_groups, ball_query, nearest_distances};
+pub use neighbors::{
+    BallGroups, BallQuery, ball_groups, ball_query, local_sign_counts, nearest_distances, nearest_match,
+};
 pub use pose::Pose;
 pub use procrustes::weighted_procrustes;
 pub use reference_frame::{FrameAxes, GlobalReferenceFrame, global_reference_frame};

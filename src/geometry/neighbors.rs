@@ -110,3 +110,32 @@ pub fn nearest_distances(from: &[[f32; 3]], to: &[[f32; 3]]) -> Vec<f32> {
     let columns = Columns::new(to);
     from.par_iter().with_min_len(64).map(|&p| columns.nearest_squared(p).sqrt()).collect()
 }
+
+/// Number (from 1) of each point's nearest point of `to`, 0 when that is farther than `limit`.
+pub fn nearest_match(from: &[[f32; 3]], to: &[[f32; 3]], limit: f32) -> Vec<u32> {
+    let squared = |p: &[f32; 3], q: &[f32; 3]| (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f32>();
+    from.par_iter()
+        .with_min_len(64)
+        .map(|p| {
+            let nearest = (0..to.len()).min_by(|&a, &b| squared(p, &to[a]).total_cmp(&squared(p, &to[b])));
+            nearest.filter(|&j| squared(p, &to[j]).sqrt() <= limit).map_or(0, |j| j as u32 + 1)
+        })
+        .collect()
+}
+
+/// Per point, the neighbours behind minus those in front of the plane of its local frame (padding counted) before the
+/// sign of the normal is chosen: the statistic of the release's counted sign.
+pub fn local_sign_counts(points: &[[f32; 3]], radius: f32, samples: usize) -> Vec<i64> {
+    let columns = Columns::new(points);
+    points
+        .par_iter()
+        .with_min_len(32)
+        .map(|centre| {
+            let mut row = vec![0u32; samples];
+            let count = ball_of(&columns, *centre, radius * radius, &mut row);
+            let offsets: Vec<_> =
+                row[..count].iter().map(|&i| vector(&points[i as usize]) - vector(centre)).collect();
+            local_axes(&offsets, samples - count, radius as f64, true).sign_count
+        })
+        .collect()
+}

@@ -1,10 +1,12 @@
 //! `unoinfer`: poses of objects against one reference view, evaluation on BOP datasets, scoring of result tables.
 
+mod convert;
 mod estimate;
 mod eval;
 mod options;
 mod progress;
 mod score;
+mod verify;
 
 use clap::{Parser, Subcommand};
 
@@ -24,6 +26,12 @@ enum Command {
     Eval(eval::EvalArguments),
     /// Score a BOP result table
     Score(score::ScoreArguments),
+    /// Run a network on stored inputs and compare every stored tensor of another implementation
+    Verify(verify::VerifyArguments),
+    /// Say what a checkpoint is
+    Inspect(convert::InspectArguments),
+    /// Write a checkpoint in another form
+    Export(convert::ExportArguments),
 }
 
 fn main() -> std::process::ExitCode {
@@ -34,6 +42,9 @@ fn main() -> std::process::ExitCode {
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
+        Command::Inspect(arguments) => convert::inspect(&arguments),
+        Command::Export(arguments) => convert::export(&arguments),
     };
     match done {
         Ok(()) => std::process::ExitCode::SUCCESS,
