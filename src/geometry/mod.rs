@@ -21,7 +21,8 @@ pub use camera::{Intrinsics, IntrinsicsError};
 pub use coarse_pose::{CoarsePose, Hypothesis, coarse_pose, match_distribution};
 pub use fine_pose::{FinePose, fine_pose};
 pub use neighbors::{
-    BallGroups, BallQuery, ball_groups, ball_query, local_sign_counts, nearest_distances, nearest_match,
+    BallGroups, BallQuery, SignCount, ball_groups, ball_query, local_sign_counts, nearest_distances,
+    nearest_match,
 };
 pub use pose::Pose;
 pub use procrustes::weighted_procrustes;

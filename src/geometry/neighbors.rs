@@ -3,7 +3,12 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::{columns::Columns, columns::LANES, procrustes::vector, reference_frame::local_axes};
+use super::{
+    columns::Columns,
+    columns::LANES,
+    procrustes::vector,
+    reference_frame::{COUNTED_HEIGHT, local_axes},
+};
 
 /// Neighbours of every centre in index order, `[centres, samples]`.
 #[derive(Clone, Debug)]
@@ -123,9 +128,18 @@ pub fn nearest_match(from: &[[f32; 3]], to: &[[f32; 3]], limit: f32) -> Vec<u32>
         .collect()
 }
 
-/// Per point, the neighbours behind minus those in front of the plane of its local frame (padding counted) before the
-/// sign of the normal is chosen: the statistic of the release's counted sign.
-pub fn local_sign_counts(points: &[[f32; 3]], radius: f32, samples: usize) -> Vec<i64> {
+/// The statistic of the release's counted sign for one neighbourhood.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SignCount {
+    /// Neighbours behind minus those in front of the plane of the local frame (padding counted), before the sign of the
+    /// normal is chosen.
+    pub count: i64,
+    /// Neighbours so near to the counting threshold that rounding decides about them.
+    pub undecided: i64,
+}
+
+/// [`SignCount`] of every point's ball; heights within `margin` of the threshold are undecided.
+pub fn local_sign_counts(points: &[[f32; 3]], radius: f32, samples: usize, margin: f64) -> Vec<SignCount> {
     let columns = Columns::new(points);
     points
         .par_iter()
@@ -135,7 +149,14 @@ pub fn local_sign_counts(points: &[[f32; 3]], radius: f32, samples: usize) -> Ve
             let count = ball_of(&columns, *centre, radius * radius, &mut row);
             let offsets: Vec<_> =
                 row[..count].iter().map(|&i| vector(&points[i as usize]) - vector(centre)).collect();
-            local_axes(&offsets, samples - count, radius as f64, true).sign_count
+            let axes = local_axes(&offsets, samples - count, radius as f64, true);
+            let undecided = offsets
+                .iter()
+                .enumerate()
+                .filter(|(_, d)| (axes.z.dot(d).abs() - COUNTED_HEIGHT).abs() < margin)
+                .map(|(i, _)| if i == 0 { 1 + samples - count } else { 1 })
+                .sum::<usize>();
+            SignCount { count: axes.sign_count, undecided: undecided as i64 }
         })
         .collect()
 }

@@ -10,7 +10,7 @@ use super::{procrustes::vector, svd::svd3};
 
 /// Heights within this of the plane are not counted by the release's sign: metres for the global frame, radii for
 /// the local ones.
-const COUNTED_HEIGHT: f64 = 1e-3;
+pub(super) const COUNTED_HEIGHT: f64 = 1e-3;
 
 /// The frame of a whole cloud with the quantities it came from.
 #[derive(Clone, Debug)]

