@@ -5,6 +5,7 @@
 //! evaluation (all stages down to the pose), one with `loss_total` a training step (losses, gradients, statistics).
 //! Each stage is fed with what our own network computed before it, so the bounds are those of the whole chain.
 
+mod clouds;
 mod computed;
 mod error;
 mod evaluation;

@@ -1,6 +1,10 @@
 //! `unoinfer inspect` and `unoinfer export`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fmt::Write as _,
+    io::Write as _,
+    path::{Path, PathBuf},
+};
 
 use clap::{Args, ValueEnum};
 use unopose::{
@@ -36,38 +40,47 @@ enum Form {
 
 pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
     let path = &arguments.file;
+    let mut out = String::new();
     let (tensors, kind) = match own(path)? {
         Some(file) => (file.tensors, "checkpoint of unotrain"),
         None => {
             let state = OfficialState::read(path)?;
             for notice in &state.notices {
-                println!("note: {notice}");
+                writeln!(out, "note: {notice}")?;
             }
             if !state.unused.is_empty() {
-                println!("note: stored but not used: {}", state.unused.join(", "));
+                writeln!(out, "note: stored but not used: {}", state.unused.join(", "))?;
             }
-            println!("sizes: {:#?}", state.sizes());
+            write!(out, "{}", state.sizes())?;
             (state.tensors, "official state of the PyTorch release")
         }
     };
-    println!("kind: {kind}");
+    writeln!(out, "kind: {kind}")?;
     let count = |part: &str| -> usize {
         tensors.iter().filter(|(name, _)| name.starts_with(part)).map(|(_, t)| t.num_elements()).sum()
     };
-    println!("tensors: {}, {} numbers", tensors.len(), count(""));
+    writeln!(out, "tensors: {}, {} numbers", tensors.len(), count(""))?;
     for part in ["feature_extraction", "geo_embedding", "coarse_point_matching", "fine_point_matching"] {
-        println!("  {part}: {}", count(part));
+        writeln!(out, "  {part}: {}", count(part))?;
     }
     if own(path)?.is_some() {
         let meta = checkpoint::read_meta(path)?;
-        println!("step: {}", meta.step);
-        meta.extra.iter().for_each(|(key, value)| println!("{key}: {value}"));
-        println!("configuration:\n{}", checkpoint::read_config(path)?.to_toml()?);
+        writeln!(out, "step: {}", meta.step)?;
+        for (key, value) in &meta.extra {
+            writeln!(out, "{key}: {value}")?;
+        }
+        writeln!(out, "configuration:\n{}", checkpoint::read_config(path)?.to_toml()?)?;
     }
     if arguments.tensors {
-        tensors.iter().for_each(|(name, t)| println!("{name} {:?}", t.shape()));
+        for (name, t) in &tensors {
+            writeln!(out, "{name} {:?}", t.shape())?;
+        }
     }
-    Ok(())
+    // A reader that has seen enough (`| head`) is no error.
+    match std::io::stdout().write_all(out.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
 }
 
 pub fn export(arguments: &ExportArguments) -> anyhow::Result<()> {

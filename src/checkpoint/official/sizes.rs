@@ -1,6 +1,6 @@
 //! Sizes of an official network, read off the shapes of its tensors.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, fmt};
 
 use burn::tensor::TensorData;
 
@@ -104,5 +104,31 @@ impl OfficialSizes {
         let mut sized = config.clone();
         self.apply(&mut sized);
         super::super::differences(&sized, config)
+    }
+}
+
+impl fmt::Display for OfficialSizes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sizes = [
+            ("vit_embed_dim", self.vit_embed_dim),
+            ("vit_depth", self.vit_depth),
+            ("vit_patch_size", self.vit_patch_size),
+            ("vit_register_tokens", self.vit_register_tokens),
+            ("vit_positions", self.vit_positions),
+            ("color_out_dim", self.color_out_dim),
+            ("hidden_dim", self.hidden_dim),
+            ("coarse_out_dim", self.coarse_out_dim),
+            ("fine_out_dim", self.fine_out_dim),
+            ("coarse_blocks", self.coarse_blocks),
+            ("fine_blocks", self.fine_blocks),
+            ("pe_inputs", self.pe_inputs),
+        ];
+        for (name, size) in sizes {
+            writeln!(f, "{name}: {}", size.map_or("absent".into(), |size| size.to_string()))?;
+        }
+        match self.pe_channels {
+            Some(channels) => writeln!(f, "pe_channels: {channels:?}"),
+            None => writeln!(f, "pe_channels: absent"),
+        }
     }
 }
