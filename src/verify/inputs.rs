@@ -37,12 +37,11 @@ pub fn fit_config(config: &ModelConfig, tensors: &ReferenceTensors) -> Result<Mo
         return Err(tensors.error("rgb", format!("has shape {rgb:?}, expected [B, 3, S, S]")));
     }
     let side = rgb[2];
-    if let ColorConfig::Vit(vit) = &config.color {
-        if !side.is_multiple_of(vit.patch_size) {
-            let message =
-                format!("has side {side}, expected a multiple of the patch size {}", vit.patch_size);
-            return Err(tensors.error("rgb", message));
-        }
+    if let ColorConfig::Vit(vit) = &config.color
+        && !side.is_multiple_of(vit.patch_size)
+    {
+        let message = format!("has side {side}, expected a multiple of the patch size {}", vit.patch_size);
+        return Err(tensors.error("rgb", message));
     }
     config.image_size = side;
     config.reference_points = tensors.shape("tem1_pts", 3)?[1];
