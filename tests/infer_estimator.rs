@@ -159,7 +159,9 @@ fn a_target_list_becomes_a_table_and_scores() {
         serde_json::from_slice(&std::fs::read(out.join("scores.json")).unwrap()).unwrap();
     assert_eq!((scores["n_targets"].as_u64(), scores["n_estimates"].as_u64()), (Some(4), Some(3)));
     assert_eq!(scores["mean_time_per_image_s"], -1.0);
-    assert_eq!(scores["mean_time_per_pair_s"].as_f64(), poses.mean_time_per_pair_s());
+    // serde_json may read a decimal one unit in the last place off.
+    let written = scores["mean_time_per_pair_s"].as_f64().unwrap();
+    assert!((written / poses.mean_time_per_pair_s().unwrap() - 1.0).abs() < 1e-12, "{written}");
     for key in ["AR", "AR_VSD", "AR_MSSD", "AR_MSPD"] {
         assert!((0.0..=0.75).contains(&scores[key].as_f64().unwrap()), "{key}: {}", scores[key]);
     }
