@@ -132,7 +132,7 @@ pub fn group_tensors(
             let mut mask = vec![0f32; batch * n * k];
             let rows = mask.chunks_exact_mut(k.max(1));
             for (row, &count) in rows.zip(groups.iter().flat_map(|g| &g[scale].counts)) {
-                // A centre without neighbours still has its placeholder.
+                // A centre without neighbours still has one (zero) row that counts.
                 row[..(count as usize).clamp(1, k)].fill(1.0);
             }
             Tensor::from_data(TensorData::new(mask, [batch * n * k, 1]), device)
