@@ -9,38 +9,27 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Progress, Stage, Summary, SynthError,
-    folder::{check, claim},
+    Progress, Stage, Summary, SynthError, bop_lists,
+    folder::{Layout, check, claim},
     generate::pool_of,
     models::{ObjectCache, write_models},
     object::SynthObject,
-    random::{Domain, Draw, stream},
     shard::{self, Image},
 };
 use crate::{
     config::SynthConfig,
     formats::{
-        BopDataset, ModelInfo, ReferenceTarget, Target,
-        bop::{BopSceneWriter, BopSplit, SceneImage, SceneInstance},
-        detections::{Detection, write_detections},
+        ModelInfo,
+        bop::{BopSceneWriter, SceneImage, SceneInstance},
         models::{read_models_info, write_models_info},
-        rle::Rle,
-        targets::write_targets,
         write_atomic,
     },
     frame::RgbdFrame,
-    geometry::Pose,
     mesh::{TriangleMesh, ply},
 };
 
 /// Millimetres per unit of the depth images.
 const DEPTH_SCALE: f64 = 0.1;
-/// Targets: at least this visible share, and this many pixels in an image 640 pixels wide.
-const TARGET: (f64, f64) = (0.1, 150.0);
-/// The same for references.
-const REFERENCE: (f64, f64) = (0.7, 900.0);
-/// Largest angle between target and reference view, degrees.
-const MAX_ROTATION_DEG: f64 = 50.0;
 
 /// Makes `config.images` test images in BOP's layout below `out`. Finished scenes of an earlier run are kept.
 pub fn generate_bop(
@@ -49,7 +38,7 @@ pub fn generate_bop(
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, SynthError> {
     check(config)?;
-    claim(config, out)?;
+    claim(config, out, Layout::Scenes)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, "synth", &mut cache, progress)?;
     let objects = cache.get(&pool_of(config, 0), &|| {});
@@ -79,7 +68,7 @@ pub fn generate_bop(
         summary.images_written += images;
         *(if images > 0 { &mut summary.shards_written } else { &mut summary.shards_kept }) += 1;
     }
-    write_lists(config, out, &infos)?;
+    bop_lists::write_lists(config, out, &objects, &infos)?;
     Ok(summary)
 }
 
@@ -120,95 +109,4 @@ fn write_scene(split: &Path, scene_id: u32, images: Vec<Image>) -> Result<(), Sy
         writer.add(&SceneImage { im_id: im_id as u32, frame, instances })?;
     }
     Ok(writer.finish()?)
-}
-
-/// An instance of the finished set.
-struct Seen {
-    scene_id: u32,
-    im_id: u32,
-    instance: usize,
-    obj_id: u32,
-    t_camera_object: Pose,
-    visib_fract: f64,
-    px_count_visib: f64,
-    bbox_visib: [i32; 4],
-    /// The silhouette does not touch the border.
-    whole: bool,
-}
-
-/// Target list, one-reference list (other scenes only) and exact detections of all targets.
-fn write_lists(config: &SynthConfig, out: &Path, infos: &BTreeMap<u32, ModelInfo>) -> Result<(), SynthError> {
-    let split = BopDataset::open(out)?.split("test")?;
-    let seen = seen_instances(config, &split)?;
-    let scale = (f64::from(config.width) / 640.0).powi(2);
-    let passes =
-        |s: &Seen, limit: (f64, f64)| s.visib_fract >= limit.0 && s.px_count_visib >= limit.1 * scale;
-    let mut rng = stream(config.seed, Domain::Pool, u64::MAX);
-    let (mut targets, mut references, mut detections) = (BTreeMap::new(), Vec::new(), Vec::new());
-    for target in seen.iter().filter(|s| passes(s, TARGET)) {
-        let Some(info) = infos.get(&target.obj_id) else { continue };
-        let angle =
-            |r: &Seen| info.symmetries.rotation_distance_deg(&target.t_camera_object, &r.t_camera_object);
-        let candidates: Vec<(&Seen, f64)> = seen
-            .iter()
-            .filter(|r| r.obj_id == target.obj_id && r.scene_id != target.scene_id && r.whole)
-            .filter(|r| passes(r, REFERENCE))
-            .map(|r| (r, angle(r)))
-            .filter(|(_, degrees)| *degrees <= MAX_ROTATION_DEG)
-            .collect();
-        if candidates.is_empty() {
-            continue;
-        }
-        let (reference, degrees) = *rng.pick(&candidates);
-        let (scene_id, im_id, obj_id) = (target.scene_id, target.im_id, target.obj_id);
-        targets.insert((scene_id, im_id, obj_id), Target { scene_id, im_id, obj_id, inst_count: 1 });
-        references.push(ReferenceTarget {
-            scene_id,
-            im_id,
-            obj_id,
-            ref_scene_id: reference.scene_id,
-            ref_im_id: reference.im_id,
-            rot_deg: Some(degrees),
-            overlap: None,
-        });
-        let mask = split.scene(scene_id)?.mask_visib(im_id, target.instance)?;
-        detections.push(Detection {
-            scene_id,
-            image_id: im_id,
-            category_id: obj_id,
-            bbox: target.bbox_visib.map(f64::from),
-            score: 1.0,
-            time: 0.0,
-            segmentation: Rle::encode_compressed(&mask),
-        });
-    }
-    let targets: Vec<Target> = targets.into_values().collect();
-    write_targets(&out.join("test_targets_bop19.json"), &targets)?;
-    write_targets(&out.join("test_ref_targets_crossscene_rot50.json"), &references)?;
-    Ok(write_detections(&out.join("dets_gt.json"), &detections)?)
-}
-
-fn seen_instances(config: &SynthConfig, split: &BopSplit) -> Result<Vec<Seen>, SynthError> {
-    let (width, height) = (config.width as i32, config.height as i32);
-    let mut seen = Vec::new();
-    for &scene_id in split.scene_ids() {
-        let scene = split.scene(scene_id)?;
-        for im_id in scene.image_ids() {
-            for (instance, (gt, info)) in scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate() {
-                let [x, y, w, h] = info.bbox_obj;
-                seen.push(Seen {
-                    scene_id,
-                    im_id,
-                    instance,
-                    obj_id: gt.obj_id,
-                    t_camera_object: gt.pose(&format!("scene {scene_id}, image {im_id}"))?,
-                    visib_fract: info.visib_fract,
-                    px_count_visib: info.px_count_visib.into(),
-                    bbox_visib: info.bbox_visib,
-                    whole: x > 0 && y > 0 && x + w < width - 1 && y + h < height - 1,
-                });
-            }
-        }
-    }
-    Ok(seen)
 }

@@ -14,8 +14,10 @@ pub enum SynthError {
     Io { path: PathBuf, source: std::io::Error },
     #[error("{}: no ply, obj, stl, glb or gltf files found", folder.display())]
     NoMeshes { folder: PathBuf },
+    #[error("{}: neither shards (shard-NNNNNN.tar, train_pbr_web/) nor BOP scenes (SPLIT/SSSSSS/scene_camera.json) found", folder.display())]
+    NoDataset { folder: PathBuf },
     #[error("synth.{field} is {value}, expected {expected}")]
     Config { field: &'static str, value: String, expected: &'static str },
-    #[error("{}: holds data of another configuration ({difference}); choose another folder or remove it", folder.display())]
+    #[error("{}: holds data of another configuration ({difference}); choose another folder, or allow overwriting", folder.display())]
     OtherConfig { folder: PathBuf, difference: String },
 }

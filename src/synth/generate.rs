@@ -10,7 +10,7 @@ use rand::seq::index;
 
 use super::{
     SynthError,
-    folder::{check, claim},
+    folder::{Layout, check, claim},
     models::{ObjectCache, write_models},
     random::{Domain, stream},
     shard,
@@ -56,7 +56,7 @@ pub fn generate(
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, SynthError> {
     check(config)?;
-    claim(config, out)?;
+    claim(config, out, Layout::Shards)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, SET_NAME, &mut cache, progress)?;
     let shards = config.images.div_ceil(config.images_per_shard.max(1)) as u32;
@@ -65,7 +65,7 @@ pub fn generate(
     if summary.shards_written > 0 || !index.is_file() {
         remove_index_files(out)?;
         let dataset = ShardDataset::open(out)?;
-        write_index_files(out, SET_NAME, &dataset)?;
+        write_index_files(out, SET_NAME, &dataset, [config.width, config.height])?;
     }
     Ok(summary)
 }
@@ -78,7 +78,7 @@ pub fn generate_shards(
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, SynthError> {
     check(config)?;
-    claim(config, out)?;
+    claim(config, out, Layout::Shards)?;
     make_shards(config, out, shards, &mut ObjectCache::new(config)?, progress)
 }
 

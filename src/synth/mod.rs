@@ -3,13 +3,16 @@
 //! [`generate`] fills a folder with MegaPose-style shards. Every shard is a function of (configuration, shard number)
 //! alone: random numbers come from per-item streams, so neither threads nor interruptions change a byte.
 
+mod bop_lists;
 mod bop_set;
+mod check;
 mod contact_sheet;
 mod error;
 mod folder;
 mod generate;
 mod models;
 mod object;
+mod overlap;
 mod photograph;
 mod physics;
 mod random;
@@ -20,8 +23,10 @@ mod shard;
 mod texture;
 
 pub use bop_set::generate_bop;
+pub use check::{CheckReport, Finding, Histogram, PartReport, Statistics, check_dataset};
 pub use contact_sheet::contact_sheet;
 pub use error::SynthError;
+pub use folder::remove_generated;
 pub use generate::{Progress, Stage, Summary, generate, generate_shards};
 pub use object::{ObjectLibrary, SynthObject};
 pub use shapes::Family;

@@ -9,17 +9,15 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        AnnotatedFrame, FormatError, Instance, ObjectSymmetries,
+        AnnotatedFrame, FormatError, ObjectSymmetries,
         bop::{GtInfoRecord, GtRecord},
-        camera::CameraRecord,
-        image_io::{decode_depth, decode_rgb},
         models::read_models_info,
     },
     archive::Archive,
     index::Published,
-    records::{ImageRecords, MemberKind, from_json, masks_from_json},
+    records::{ImageRecords, MemberKind, from_json},
+    shard_image::{ShardImage, check_counts},
 };
-use crate::frame::RgbdFrame;
 
 /// One instance of one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,7 +120,7 @@ impl ShardDataset {
         &self.keys
     }
 
-    /// Valid instances: those of the published index, or visible share >= 0.1 and at least 512 visible pixels.
+    /// The instances of the index files, or all with a visible pixel where there are none.
     pub fn instances(&self) -> &[InstanceRef] {
         &self.instances
     }
@@ -148,81 +146,26 @@ impl ShardDataset {
 
     /// Reads and decodes an image with all its instances (valid or not, in the order of `gt.json`).
     pub fn load(&self, image: u32) -> Result<AnnotatedFrame, FormatError> {
-        let (records, rgb, depth_png, name) = self.read(image)?;
-        let camera = records.camera.check(&name)?;
-        let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), camera.depth_scale)?;
-        if (depth.width, depth.height) != (rgb.width(), rgb.height()) {
-            let value = format!("{} x {}", depth.width, depth.height);
-            let expected = format!("{} x {} as rgb.jpg", rgb.width(), rgb.height());
-            return Err(FormatError::field(format!("{name}.depth.png"), "image size", value, expected));
-        }
-        let frame = RgbdFrame { rgb, depth, intrinsics: camera.intrinsics };
-        let instance = |i: usize| -> Result<Instance, FormatError> {
-            let (gt, info) = (&records.gt[i], &records.gt_info[i]);
-            let place = format!("{name}.mask_visib.json: instance {i}");
-            let mask_visib = records.mask_visib[i].decode().map_err(|e| e.within(&place))?;
-            if (mask_visib.width, mask_visib.height) != (frame.width(), frame.height()) {
-                let value = format!("{} x {}", mask_visib.width, mask_visib.height);
-                let expected = format!("{} x {} as rgb.jpg", frame.width(), frame.height());
-                return Err(FormatError::field(place, "mask size", value, expected));
-            }
-            Ok(Instance {
-                obj_id: gt.obj_id,
-                t_camera_object: gt.pose(&format!("{name}.gt.json: instance {i}"))?,
-                visib_fract: info.visib_fract,
-                px_count_visib: info.px_count_visib,
-                mask_visib,
-            })
-        };
-        let instances = (0..records.gt.len()).map(instance).collect::<Result<_, _>>()?;
-        Ok(AnnotatedFrame { frame, instances })
+        self.read(image)?.annotated()
     }
 
     /// The JSON members of an image, as they are.
     pub fn records(&self, image: u32) -> Result<ImageRecords, FormatError> {
-        self.read(image).map(|(records, ..)| records)
+        Ok(self.read(image)?.records)
     }
 
-    fn read(&self, image: u32) -> Result<(ImageRecords, image::RgbImage, Vec<u8>, String), FormatError> {
+    fn read(&self, image: u32) -> Result<ShardImage, FormatError> {
         let (Some(key), Some(&shard)) = (self.keys.get(image as usize), self.shard_of.get(image as usize))
         else {
             let expected = format!("below {}", self.keys.len());
             return Err(FormatError::field(self.folder.display(), "image number", image, expected));
         };
-        let archive = &self.shards[shard as usize].1;
-        let mut reader = archive.reader()?;
-        let mut member = |kind| reader.read(key, kind);
-        let (bytes, place) = member(MemberKind::Camera)?;
-        let camera: CameraRecord = from_json(&bytes, &place)?;
-        let (bytes, place) = member(MemberKind::Gt)?;
-        let gt: Vec<GtRecord> = from_json(&bytes, &place)?;
-        let (bytes, place) = member(MemberKind::GtInfo)?;
-        let gt_info: Vec<GtInfoRecord> = from_json(&bytes, &place)?;
-        check_counts(gt.len(), gt_info.len(), &place)?;
-        let (bytes, place) = member(MemberKind::MaskVisib)?;
-        let mask_visib = masks_from_json(&bytes, gt.len(), &place)?;
-        // The whole silhouettes are not needed for training; sets without them are read, too.
-        let mask = match member(MemberKind::Mask) {
-            Ok((bytes, place)) => masks_from_json(&bytes, gt.len(), &place)?,
-            Err(_) => Vec::new(),
-        };
-        let (bytes, place) = member(MemberKind::Rgb)?;
-        let rgb = decode_rgb(&bytes, &place)?;
-        let (depth, _) = member(MemberKind::Depth)?;
-        let records = ImageRecords { camera, gt, gt_info, mask, mask_visib };
-        Ok((records, rgb, depth, format!("{}: {key}", archive.path.display())))
+        ShardImage::read(&self.shards[shard as usize].1, key)
     }
-}
-
-fn check_counts(gt: usize, gt_info: usize, place: &str) -> Result<(), FormatError> {
-    if gt == gt_info {
-        return Ok(());
-    }
-    Err(FormatError::field(place, "number of instances", gt_info, format!("{gt} as in gt.json")))
 }
 
 /// Shards of a folder, by number: `shard-NNNNNN.tar` (any tar whose name ends in a number) or folders `NNNNNN`.
-fn shard_paths(folder: &Path) -> Vec<(u32, PathBuf)> {
+pub(super) fn shard_paths(folder: &Path) -> Vec<(u32, PathBuf)> {
     let entries = std::fs::read_dir(folder).ok().into_iter().flatten();
     let shard = |path: PathBuf| {
         let stem = path.file_stem()?.to_str()?;

@@ -15,9 +15,9 @@ use super::{
     dataset::{InstanceRef, ShardDataset},
 };
 
-/// An instance is valid with at least this visible share ...
+/// An index lists instances with at least this visible share ...
 pub const VALID_VISIB_FRACT: f32 = 0.1;
-/// ... and this many visible pixels.
+/// ... and this many visible pixels of an image of 640 x 480; of other images the same share of the area.
 pub const VALID_PX_COUNT_VISIB: u32 = 512;
 /// Smallest visible share of a reference.
 pub const REFERENCE_VISIB_FRACT: f32 = 0.8;
@@ -72,9 +72,8 @@ impl Published {
     pub fn is_valid(&self, key: &str, instance: &InstanceRef) -> bool {
         match &self.valid {
             Some(valid) => valid.get(key).is_some_and(|ids| ids.contains(&instance.instance)),
-            None => {
-                instance.visib_fract >= VALID_VISIB_FRACT && instance.px_count_visib >= VALID_PX_COUNT_VISIB
-            }
+            // What is large enough is for the configuration to say.
+            None => instance.px_count_visib > 0,
         }
     }
 
@@ -86,14 +85,28 @@ impl Published {
     }
 }
 
-/// Writes `key_to_shard.json` beside the shards and the two index files into `root`, named after `set`.
-pub fn write_index_files(root: &Path, set: &str, dataset: &ShardDataset) -> Result<(), FormatError> {
+/// Fewest visible pixels of an instance that an index of images of this size lists.
+pub fn valid_px_count_visib(width: u32, height: u32) -> u32 {
+    let pixels = u64::from(width) * u64::from(height);
+    (u64::from(VALID_PX_COUNT_VISIB) * pixels).div_ceil(640 * 480) as u32
+}
+
+/// Writes `key_to_shard.json` beside the shards and the two index files into `root`, named after `set`: of `dataset`'s
+/// instances those that are large enough for images of `width` x `height`.
+pub fn write_index_files(
+    root: &Path,
+    set: &str,
+    dataset: &ShardDataset,
+    [width, height]: [u32; 2],
+) -> Result<(), FormatError> {
+    let least = valid_px_count_visib(width, height);
     let keys: BTreeMap<&str, u32> = dataset.keys_and_shards().collect();
     write_json(&dataset.folder().join("key_to_shard.json"), &keys, false)?;
     let shard_name = |key: &str| format!("{:06}", keys.get(key).copied().unwrap_or_default());
     let mut valid: BTreeMap<String, Vec<u32>> = BTreeMap::new();
     let mut references: BTreeMap<u32, Vec<ReferenceEntry>> = BTreeMap::new();
-    for instance in dataset.instances() {
+    let listed = |i: &&InstanceRef| i.visib_fract >= VALID_VISIB_FRACT && i.px_count_visib >= least;
+    for instance in dataset.instances().iter().filter(listed) {
         let key = &dataset.image_keys()[instance.image as usize];
         valid.entry(format!("{}/{key}", shard_name(key))).or_default().push(instance.instance);
         if instance.visib_fract >= REFERENCE_VISIB_FRACT {

@@ -6,13 +6,17 @@
 
 mod archive;
 mod dataset;
+mod file;
 mod index;
 mod records;
+mod shard_image;
 mod writer;
 
 pub use dataset::{InstanceRef, ShardDataset};
+pub use file::ShardFile;
 pub use index::{
-    REFERENCE_VISIB_FRACT, ReferenceEntry, VALID_PX_COUNT_VISIB, VALID_VISIB_FRACT, write_index_files,
+    REFERENCE_VISIB_FRACT, ReferenceEntry, VALID_PX_COUNT_VISIB, VALID_VISIB_FRACT, valid_px_count_visib,
+    write_index_files,
 };
 pub use records::{ImageRecords, MemberKind};
 pub use writer::{EncodedImage, ShardWriter, shard_file_name};

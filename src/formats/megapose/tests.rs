@@ -26,6 +26,11 @@ fn example() -> Option<PathBuf> {
 }
 
 fn encoded(key: &str) -> EncodedImage {
+    encoded_of(key, 600)
+}
+
+/// An image whose one instance is recorded with this many visible pixels.
+fn encoded_of(key: &str, px_count_visib: u32) -> EncodedImage {
     let (width, height) = (40, 30);
     let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 19.5, cy: 14.5 };
     let mut mask = Mask::empty(width, height);
@@ -36,7 +41,7 @@ fn encoded(key: &str) -> EncodedImage {
         bbox_visib: [0, 0, 39, 14],
         px_count_all: 640,
         px_count_valid: 600,
-        px_count_visib: 600,
+        px_count_visib,
         visib_fract: 600.0 / 640.0,
     };
     let records = ImageRecords {
@@ -77,10 +82,30 @@ fn what_is_written_is_read_back() {
     assert_eq!(instance.mask_visib.count(), 600);
     assert!((image.frame.depth.get(3, 3) - 0.8123).abs() < 1e-6);
     assert!(dataset.load(2).unwrap_err().to_string().contains("image number is 2"));
-    write_index_files(folder.path(), "gso", &dataset).unwrap();
+    write_index_files(folder.path(), "gso", &dataset, [640, 480]).unwrap();
     let indexed = ShardDataset::open(folder.path()).unwrap();
     assert_eq!(indexed.instances(), dataset.instances());
     assert_eq!(indexed.references(7), dataset.references(7));
+}
+
+#[test]
+fn small_images_index_small_instances_and_without_an_index_nothing_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = ShardWriter::default();
+    // A quarter of 640 x 480 has a quarter of 512 pixels.
+    for (i, pixels) in [600, 512, 200, 128, 127, 1, 0].into_iter().enumerate() {
+        writer.push(encoded_of(&format!("000000_{i:06}"), pixels));
+    }
+    writer.write(&folder.path().join(shard_file_name(0))).unwrap();
+    let pixels = |dataset: &ShardDataset| -> Vec<u32> {
+        dataset.instances().iter().map(|i| i.px_count_visib).collect()
+    };
+    let dataset = ShardDataset::open(folder.path()).unwrap();
+    assert_eq!(pixels(&dataset), [600, 512, 200, 128, 127, 1]);
+    for (size, listed) in [([320, 240], &[600, 512, 200, 128][..]), ([640, 480], &[600, 512])] {
+        write_index_files(folder.path(), "gso", &dataset, size).unwrap();
+        assert_eq!(pixels(&ShardDataset::open(folder.path()).unwrap()), listed, "{size:?}");
+    }
 }
 
 #[test]
