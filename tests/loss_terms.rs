@@ -98,7 +98,7 @@ fn written_down_gradients_are_the_derivatives() {
     let config = LossConfig::default();
     check_gradient("InfoNCE", |s| info_nce(s, &labels, &config));
     check_gradient("soft correspondence", |s| {
-        let output = BlockOutput { similarity: s.clone(), overlap: None };
+        let output = BlockOutput { similarity: s.clone(), overlap: None, background_overlap: None };
         soft_correspondence(&output, &labels, &config)
     });
 }

@@ -132,7 +132,8 @@ pub struct FineConfig {
 pub enum OverlapMode {
     /// Row softmax x column softmax x both overlap scores.
     Release,
-    /// Overlap-weighted features inside the softmaxes (paper, "overlap-aware matching").
+    /// One softmax over the similarities of overlap-weighted features (paper, "overlap-aware correlation matrix"); the
+    /// background's overlap is predicted and trained towards 0.
     Paper,
     /// No overlap heads.
     Off,

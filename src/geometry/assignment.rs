@@ -1,5 +1,5 @@
 //! Soft assignment between two clouds from their similarity: softmax over rows times softmax over columns times the
-//! overlap scores, background at index 0 (release form; the paper's form multiplies inside the similarity).
+//! overlap scores, background at index 0 (the release's form; `correlation` has the paper's).
 
 use rayon::prelude::*;
 

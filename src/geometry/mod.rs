@@ -7,6 +7,7 @@ mod assignment;
 mod camera;
 mod coarse_pose;
 mod columns;
+mod correlation;
 mod fine_pose;
 mod neighbors;
 mod pose;
@@ -19,6 +20,7 @@ mod svd;
 pub use assignment::{Assignment, match_assignment};
 pub use camera::{Intrinsics, IntrinsicsError};
 pub use coarse_pose::{CoarsePose, Hypothesis, coarse_pose, match_distribution};
+pub use correlation::correlation_assignment;
 pub use fine_pose::{FinePose, fine_pose};
 pub use neighbors::{
     BallGroups, BallQuery, SignCount, ball_groups, ball_query, local_sign_counts, nearest_distances,

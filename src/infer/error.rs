@@ -15,6 +15,11 @@ pub enum InferError {
     Readback { what: &'static str, message: String },
     #[error("the forward pass failed: {message}")]
     Forward { message: String },
+    #[error(
+        "{query} query and {reference} reference points, expected equal counts: the release splits the overlaps at the \
+         reference's (model.quirks.score_split_at_reference)"
+    )]
+    UnequalCounts { query: usize, reference: usize },
     #[error("the estimated pose is not finite, expected one: are the checkpoint's weights broken?")]
     NotFinite,
     #[error("unknown refinement {0:?}, expected none or icp")]

@@ -6,6 +6,7 @@
 //! BOP dataset. Every random number comes from the seed alone, so a pose does not depend on what else is estimated
 //! with it.
 
+mod assignments;
 mod error;
 mod estimator;
 mod pairs;
@@ -15,6 +16,7 @@ mod target_references;
 mod targets;
 mod view_files;
 
+pub use assignments::{Matched, host_assignments};
 pub use error::InferError;
 pub use estimator::{Estimate, PoseEstimator, Query, Timings};
 pub use pairs::{

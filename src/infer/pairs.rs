@@ -7,12 +7,12 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::InferError;
+use super::{InferError, Matched, host_assignments};
 use crate::{
-    config::{ModelConfig, OverlapMode},
+    config::ModelConfig,
     data::{CloudInput, PreparedReference, metric_pose, positional_groups},
-    geometry::{Assignment, Pose, coarse_pose, fine_pose, match_assignment},
-    model::{BlockOutput, CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
+    geometry::{Pose, coarse_pose, fine_pose},
+    model::{CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
 };
 
 /// Pose of one pair with what explains it.
@@ -186,7 +186,7 @@ pub fn estimate_encoded(
     let coarse =
         model.coarse((&query, &query_features), (&reference, &references.features), Supervision::LastBlock);
     let coarse = match coarse.last() {
-        Some(block) => host_assignments(block, config)?,
+        Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
         None => Vec::new(),
     };
     times.coarse = lap();
@@ -229,7 +229,7 @@ pub fn estimate_encoded(
                 (&reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
-            blocks.last().map(|block| host_assignments(block, config)).transpose()?
+            blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
         }
         _ => None,
     };
@@ -265,38 +265,6 @@ pub fn estimate_encoded(
     Ok((estimates, times))
 }
 
-/// An assignment on the host with the mean overlaps behind it.
-struct Matched {
-    assignment: Assignment,
-    mean_overlap: [f64; 2],
-}
-
-/// Similarities and overlaps of a block to one assignment per pair.
-fn host_assignments(block: &BlockOutput, config: &ModelConfig) -> Result<Vec<Matched>, InferError> {
-    let [batch, rows, columns] = block.similarity.dims();
-    let similarity = host(block.similarity.clone(), "similarities")?;
-    let [query, reference] = block.overlap_probability();
-    let (query, reference) = (host(query, "overlaps")?, host(reference, "overlaps")?);
-    let matched = (0..batch)
-        .into_par_iter()
-        .map(|b| {
-            let (n, m) = (rows - 1, columns - 1);
-            let overlap = [&query[b * n..(b + 1) * n], &reference[b * m..(b + 1) * m]];
-            let mean_overlap =
-                overlap.map(|o| o.iter().map(|&x| x as f64).sum::<f64>() / o.len().max(1) as f64);
-            let ones = [vec![1.0; n], vec![1.0; m]];
-            // The paper's form has already put the overlap into the similarities.
-            let weights = match config.overlap {
-                OverlapMode::Release => overlap,
-                OverlapMode::Paper | OverlapMode::Off => [ones[0].as_slice(), ones[1].as_slice()],
-            };
-            let similarity = &similarity[b * rows * columns..(b + 1) * rows * columns];
-            Matched { assignment: match_assignment(similarity, weights[0], weights[1]), mean_overlap }
-        })
-        .collect();
-    Ok(matched)
-}
-
 /// The fine stage's confidence (section 6) on the coarse matches.
 fn coarse_confidence(
     query: &CloudInput,
@@ -313,8 +281,4 @@ fn coarse_confidence(
     let near: f64 =
         foreground.iter().zip(&distances).filter(|(_, d)| **d < 0.15).map(|(&f, _)| f as f64).sum();
     near / (total + 1e-8) * (total / foreground.len().max(1) as f64)
-}
-
-fn host<const D: usize>(tensor: Tensor<D>, what: &'static str) -> Result<Vec<f32>, InferError> {
-    tensor.try_into_vec_as::<f32>().map_err(InferError::readback(what))
 }

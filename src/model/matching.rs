@@ -19,9 +19,16 @@ pub struct BlockOutput {
     pub similarity: Tensor<3>,
     /// Raw overlap scores (logits) of the query and reference points, `[B, N]`; `None` without overlap heads.
     pub overlap: Option<[Tensor<2>; 2]>,
+    /// Raw overlap scores of the two background tokens, `[B, 1]`, where they weigh features (the paper's form).
+    pub background_overlap: Option<[Tensor<2>; 2]>,
 }
 
 impl BlockOutput {
+    /// Cosines of features `[B, N, C]` and `[B, M, C]` over a temperature: `[B, N, M]`.
+    pub fn cosine_similarity(query: Tensor<3>, reference: Tensor<3>, temperature: f64) -> Tensor<3> {
+        normalize(query).matmul(normalize(reference).swap_dims(1, 2)) / temperature
+    }
+
     /// Overlap probabilities of the query and reference points `[B, N]`; 1 without overlap heads.
     pub fn overlap_probability(&self) -> [Tensor<2>; 2] {
         match &self.overlap {
@@ -100,28 +107,32 @@ impl MatchingHead<'_> {
 
     /// Similarity and overlap after block `index` from the tokens `[B, 1 + N, C]` of both clouds.
     pub fn compare(&self, index: usize, query: Tensor<3>, reference: Tensor<3>) -> BlockOutput {
-        let logits = self.score_heads.map(|heads| {
+        // Scores of all tokens, background first, [B, 1 + N].
+        let scores = self.score_heads.map(|heads| {
             [&query, &reference].map(|tokens| {
-                let [batch, n, width] = tokens.dims();
-                let points = tokens.clone().slice([0..batch, 1..n, 0..width]);
-                heads[index].forward(points).reshape([batch, n - 1])
+                let [batch, n, _] = tokens.dims();
+                heads[index].forward(tokens.clone()).reshape([batch, n])
             })
         });
-        let mut features = [query, reference].map(|tokens| normalize(self.out_proj.forward(tokens)));
-        if let (true, Some(logits)) = (self.overlap_features, &logits) {
-            // Paper, overlap-aware correlation: features scaled by the confidences before the softmax.
-            features = std::array::from_fn(|k| {
-                let [batch, n, _] = features[k].dims();
-                let confidence = sigmoid(logits[k].clone()).reshape([batch, n - 1, 1]);
-                let background = Tensor::ones([batch, 1, 1], &confidence.device());
-                features[k].clone() * Tensor::cat(vec![background, confidence], 1)
-            });
+        let part = |range: fn(usize) -> std::ops::Range<usize>| {
+            scores.clone().map(|both| {
+                both.map(|scores| {
+                    let [batch, n] = scores.dims();
+                    scores.slice([0..batch, range(n)])
+                })
+            })
+        };
+        let [query, reference] = [query, reference].map(|tokens| self.out_proj.forward(tokens));
+        let mut similarity = BlockOutput::cosine_similarity(query, reference, self.temperature);
+        let (overlap, mut background_overlap) = (part(|n| 1..n), None);
+        if let (true, Some([query, reference])) = (self.overlap_features, scores.clone()) {
+            // Paper, overlap-aware correlation: features scaled by the confidences (the background's, too) before the
+            // product, which scales the product.
+            similarity =
+                similarity * sigmoid(query).unsqueeze_dim::<3>(2) * sigmoid(reference).unsqueeze_dim::<3>(1);
+            background_overlap = part(|_| 0..1);
         }
-        let [query, reference] = features;
-        BlockOutput {
-            similarity: query.matmul(reference.swap_dims(1, 2)) / self.temperature,
-            overlap: logits,
-        }
+        BlockOutput { similarity, overlap, background_overlap }
     }
 }
 

@@ -9,14 +9,15 @@ use burn::{
 use super::{
     ReferenceTensors, VerifyError,
     clouds::{self, SIDES},
-    computed::{Computed, read},
+    computed::Computed,
     hypotheses,
     inputs::Pair,
 };
 use crate::{
-    config::{ModelConfig, OverlapMode},
+    config::ModelConfig,
     data::{metric_pose, positional_groups},
-    geometry::{Assignment, CoarsePose, Pose, fine_pose, local_sign_counts, match_assignment},
+    geometry::{Assignment, CoarsePose, Pose, fine_pose, local_sign_counts},
+    infer::host_assignments,
     model::{
         BlockOutput, CloudFeatures, CloudTensors, DenseTokens, PixelChoice, Supervision, UnoPose,
         group_tensors,
@@ -54,7 +55,7 @@ pub(super) fn compute(
     let reference = side(&mut out, model, config, pairs, ["o", "2", "ref"], device)?;
 
     let block = coarse(&mut out, model, &query, &reference)?;
-    let coarse = assignments(&block, config)?;
+    let coarse = assignments(&block, config, config.quirks.score_split_at_reference)?;
     let initial = hypotheses::compute(&mut out, config, stored, pairs, &coarse)?;
     let poses = fine(&mut out, model, config, pairs, [&query, &reference], (stored, &initial), device)?;
     let metric: Vec<Pose> = pairs
@@ -159,24 +160,13 @@ fn coarse(
 }
 
 /// One assignment per pair from a block's similarities and overlaps.
-fn assignments(block: &BlockOutput, config: &ModelConfig) -> Result<Vec<Assignment>, VerifyError> {
-    let [batch, rows, columns] = block.similarity.dims();
-    let similarity = read(block.similarity.clone())?;
-    let [query, reference] = block.overlap_probability();
-    let mut overlap = [read(query)?, read(reference)?];
-    if config.overlap != OverlapMode::Release {
-        overlap.iter_mut().for_each(|o| o.fill(1.0));
-    }
-    let (n, m) = (rows - 1, columns - 1);
-    Ok((0..batch)
-        .map(|b| {
-            match_assignment(
-                &similarity[b * rows * columns..(b + 1) * rows * columns],
-                &overlap[0][b * n..(b + 1) * n],
-                &overlap[1][b * m..(b + 1) * m],
-            )
-        })
-        .collect())
+fn assignments(
+    block: &BlockOutput,
+    config: &ModelConfig,
+    split_at_reference: bool,
+) -> Result<Vec<Assignment>, VerifyError> {
+    let matched = host_assignments(block, config.overlap, split_at_reference)?;
+    Ok(matched.into_iter().map(|matched| matched.assignment).collect())
 }
 
 /// Fine stage from the initial poses; gives the solved poses in matching frames.
@@ -258,7 +248,7 @@ fn fine(
     let block = blocks.last().ok_or(VerifyError::Part("fine transformer block"))?;
     out.tensor("fine_sim0", block.similarity.clone())?;
     out.tensor("fine_scores", Tensor::cat(block.overlap_probability().to_vec(), 1))?;
-    let matched = assignments(block, config)?;
+    let matched = assignments(block, config, false)?;
     let solved: Vec<_> = pairs
         .iter()
         .zip(&matched)
