@@ -16,7 +16,8 @@ pub struct DataConfig {
     pub validation: Option<PathBuf>,
     /// Smallest visible share of a query instance.
     pub min_visible_fraction: f32,
-    /// Fewest visible pixels of a query instance. The default suits 640 x 480; a quarter of it suits 320 x 240.
+    /// Fewest visible pixels of an instance, query or reference. The default suits 640 x 480; a quarter of it suits
+    /// 320 x 240. Index files beside the shards may list fewer instances than this admits.
     pub min_visible_pixels: u32,
     /// Smallest visible share of a reference instance (at least 0.8, the share dataset indices list).
     pub min_reference_visible_fraction: f32,

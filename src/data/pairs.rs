@@ -166,12 +166,13 @@ impl PairSampler {
     fn reference_candidates<'a>(&'a self, query: &'a InstanceRef) -> impl Iterator<Item = &'a InstanceRef> {
         let instances = self.source.instances();
         let same_image = self.model.quirks.same_image_reference;
-        let least = self.data.min_reference_visible_fraction;
+        let (least, pixels) = (self.data.min_reference_visible_fraction, self.data.min_visible_pixels);
         self.source
             .references(query.obj_id)
             .iter()
             .filter_map(|&i| instances.get(i))
-            .filter(move |r| r.visib_fract >= least && (same_image || r.image != query.image))
+            .filter(move |r| r.visib_fract >= least && r.px_count_visib >= pixels)
+            .filter(move |r| same_image || r.image != query.image)
     }
 
     fn draw(&self, index: u64, augment: bool, rng: &mut ChaCha8Rng) -> Result<TrainSample, DataError> {
