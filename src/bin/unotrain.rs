@@ -36,7 +36,7 @@ struct Arguments {
     /// End cleanly after this many minutes, data generation, validation and report included.
     #[arg(long)]
     minutes: Option<f64>,
-    /// Start from the weights of this checkpoint (fine-tuning) when the run has none of its own.
+    /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
     /// Go on with the run in the folder (the default).

@@ -15,6 +15,26 @@ pub enum CheckpointError {
     Format { path: PathBuf, message: String },
     #[error("{} is neither a safetensors file nor a readable PyTorch checkpoint: {message}", path.display())]
     Pytorch { path: PathBuf, message: String },
+    #[error(
+        "{} has no state of the network at its top level or under model or state_dict, expected names like \
+         coarse_point_matching.in_proj.weight; found {found}", path.display()
+    )]
+    NoNetwork { path: PathBuf, found: String },
+    #[error("{} holds no DINOv2 backbone: no patch embedding under the names of Meta, timm or Hugging Face", path.display())]
+    NoBackbone { path: PathBuf },
+    #[error(
+        "{} is a backbone with SwiGLU feed-forward layers ({name}), as DINOv2's ViT-g; ViT-S, ViT-B and ViT-L can be used",
+        path.display()
+    )]
+    SwiGlu { path: PathBuf, name: String },
+    #[error("{} is a vision transformer, but model.color.kind is not vit", path.display())]
+    NoTransformer { path: PathBuf },
+    #[error(
+        "{}: nothing tells the number of heads of a transformer {width} wide (DINOv2 has width / 64); put the official \
+         config.json beside the file",
+        path.display()
+    )]
+    Heads { path: PathBuf, width: usize },
     #[error("this network cannot be written in the official form: {reason}")]
     NoCounterpart { reason: String },
     #[error("{}: metadata {key} is {value}, expected {expected}", path.display())]

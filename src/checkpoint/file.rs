@@ -19,7 +19,7 @@ pub struct TensorFile {
 }
 
 impl TensorFile {
-    /// Reads all tensors as f32; half precision is widened.
+    /// Reads all tensors as f32; other precisions are converted, with a warning in the log.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes =
             std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
@@ -36,8 +36,15 @@ impl TensorFile {
         let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
         let file = SafeTensors::deserialize(bytes).map_err(format)?;
         let mut tensors = BTreeMap::new();
+        let mut converted: BTreeMap<String, usize> = BTreeMap::new();
         for (name, view) in file.iter() {
             tensors.insert(name.to_owned(), read_tensor(path, name, &view)?);
+            if view.dtype() != Dtype::F32 {
+                *converted.entry(format!("{:?}", view.dtype())).or_default() += 1;
+            }
+        }
+        for (dtype, count) in converted {
+            tracing::warn!("{}: {count} tensors converted from {dtype} to F32", path.display());
         }
         Ok(Self { tensors, metadata })
     }

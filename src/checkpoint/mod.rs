@@ -7,10 +7,13 @@
 //! weights `[out, in]`, normalisation `weight`/`bias`), so that files can be exchanged with it. The metadata hold the
 //! format version, the step, the complete configuration as TOML, and whatever the writer adds.
 
+mod backbone;
 mod error;
 mod file;
 mod official;
+mod stored;
 
+pub use backbone::{Backbone, BackboneSizes, Naming, Resampling, load_backbone};
 pub use error::{CheckpointError, Mismatch};
 pub use file::TensorFile;
 pub use official::{OfficialSizes, OfficialState, export_official, load_official};
@@ -51,9 +54,26 @@ pub fn save<M: Module>(path: &Path, model: &M, config: &Config, meta: &Meta) -> 
     TensorFile { tensors: tensors_of(model, path)?, metadata }.write(path)
 }
 
-/// Reads a network, its configuration and the rest of the metadata.
+/// Reads a network, its configuration and the rest of the metadata. Official states are read, too: their configuration is
+/// the `config.json` beside them, else the release's with the sizes of the tensors.
 pub fn load(path: &Path, device: &Device) -> Result<(UnoPose, Config, Meta), CheckpointError> {
+    if official::is_official(path) {
+        let state = OfficialState::read(path)?;
+        let config = state.config()?;
+        state.report();
+        return Ok((state.into_model(&config.model, device)?, config, Meta::default()));
+    }
     from_file(TensorFile::read(path)?, path, device)
+}
+
+/// The network of `config` with the weights of `path`, a checkpoint or an official state.
+pub fn load_weights(path: &Path, config: &Config, device: &Device) -> Result<UnoPose, CheckpointError> {
+    if official::is_official(path) {
+        let state = OfficialState::read(path)?;
+        state.report();
+        return state.into_model(&config.model, device);
+    }
+    Ok(load_into(path, UnoPose::new(&config.model, config.seed, device), &config.model)?.0)
 }
 
 /// [`load`] from the bytes of a checkpoint; `name` is only for messages.

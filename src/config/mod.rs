@@ -4,6 +4,7 @@
 //! checks every range; [`Config::to_toml`] writes the complete, resolved tree. Unknown keys are errors that name the
 //! file, the line and the nearest valid key.
 
+mod color;
 mod data;
 mod error;
 mod load;
@@ -11,18 +12,21 @@ mod loss;
 mod model;
 mod official;
 mod overrides;
+mod quirks;
 mod synth;
 mod train;
 mod validate;
 
+pub use color::{ColorConfig, PositionResampling, VitConfig};
 pub use data::{AugmentationConfig, DataConfig, PoseNoiseConfig};
 pub use error::ConfigError;
 pub use load::EMBEDDED_NAMES;
 pub use loss::LossConfig;
 pub use model::{
-    ColorConfig, EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, MatchingConfig,
-    ModelConfig, OverlapMode, Quirks, VitConfig,
+    EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, MatchingConfig, ModelConfig,
+    OverlapMode,
 };
+pub use quirks::Quirks;
 pub use synth::{SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::{ColorConfig, Quirks, VitConfig};
+
 /// The network and the preparation of its inputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -30,43 +32,6 @@ pub struct ModelConfig {
     pub overlap: OverlapMode,
     pub hypotheses: HypothesisConfig,
     pub quirks: Quirks,
-}
-
-/// Colour features per point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum ColorConfig {
-    /// DINOv2-style vision transformer with linear up-sampling to a quarter of the crop's resolution.
-    Vit(VitConfig),
-    /// Small trainable convolutional encoder, sampled at the points on three levels.
-    Conv {
-        /// Channels at half, quarter and eighth resolution.
-        channels: [usize; 3],
-        /// Channels of the point features.
-        out_dim: usize,
-    },
-    /// Geometry only: every point gets the same learned vector.
-    None {
-        /// Channels of the constant feature.
-        out_dim: usize,
-    },
-}
-
-/// Vision transformer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct VitConfig {
-    pub embed_dim: usize,
-    pub depth: usize,
-    pub heads: usize,
-    pub patch_size: usize,
-    pub register_tokens: usize,
-    /// The position embedding has no entry for the class token (timm's register variants).
-    pub no_embed_class: bool,
-    /// Channels of the up-sampled feature map.
-    pub out_dim: usize,
-    /// Do not train the transformer (the up-sampling is always trained).
-    pub freeze: bool,
 }
 
 /// Geometric structure embedding (GeoTransformer).
@@ -151,87 +116,6 @@ pub struct HypothesisConfig {
     pub power: f32,
 }
 
-/// Behaviours of the official release that differ from what it means to compute. `true` reproduces the release
-/// (its weights need that), `false` is the corrected form.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Quirks {
-    /// Reference frame coordinates are gathered with the indices of another point order.
-    pub misaligned_reference_grf: bool,
-    /// The sparse tokens of the fine stage are those of the previous dense point.
-    pub sparse_off_by_one: bool,
-    /// Coarse overlap scores of the reference start at the reference's count.
-    pub score_split_at_reference: bool,
-    /// The translation of the noisy training pose is clamped to z >= 1e-6.
-    pub clamp_noisy_translation: bool,
-    /// Clouds stay in their camera frames (false: each is centred on its own mean).
-    pub uncentred_clouds: bool,
-    /// The sign of a frame's z axis comes from counting points beyond 1e-3 on both sides (false: sign of the sum of cubes).
-    pub counted_z_sign: bool,
-    /// Hypothesis triplets may repeat points or be collinear.
-    pub degenerate_triplets: bool,
-    /// Training rotates the reference by three uniform Euler angles (false: uniform on SO(3)).
-    pub euler_reference_rotation: bool,
-    /// Masked reference and training pixels without depth become the point (0, 0, 0).
-    pub keep_zero_depth: bool,
-    /// The reference may come from the query's image; symmetric objects get no special labels.
-    pub same_image_reference: bool,
-    /// BatchNorm of the positional encoding counts padded neighbours.
-    pub batchnorm_counts_padding: bool,
-}
-
-impl Quirks {
-    /// Everything as the release does it.
-    pub fn release() -> Self {
-        Self {
-            misaligned_reference_grf: true,
-            sparse_off_by_one: true,
-            score_split_at_reference: true,
-            clamp_noisy_translation: true,
-            uncentred_clouds: true,
-            counted_z_sign: true,
-            degenerate_triplets: true,
-            euler_reference_rotation: true,
-            keep_zero_depth: true,
-            same_image_reference: true,
-            batchnorm_counts_padding: true,
-        }
-    }
-
-    /// Everything corrected.
-    pub fn corrected() -> Self {
-        Self {
-            misaligned_reference_grf: false,
-            sparse_off_by_one: false,
-            score_split_at_reference: false,
-            clamp_noisy_translation: false,
-            uncentred_clouds: false,
-            counted_z_sign: false,
-            degenerate_triplets: false,
-            euler_reference_rotation: false,
-            keep_zero_depth: false,
-            same_image_reference: false,
-            batchnorm_counts_padding: false,
-        }
-    }
-}
-
-impl Default for Quirks {
-    fn default() -> Self {
-        Self::corrected()
-    }
-}
-
-impl ColorConfig {
-    /// Channels of a point's colour feature.
-    pub fn out_dim(&self) -> usize {
-        match self {
-            Self::Vit(vit) => vit.out_dim,
-            Self::Conv { out_dim, .. } | Self::None { out_dim } => *out_dim,
-        }
-    }
-}
-
 impl Default for ModelConfig {
     fn default() -> Self {
         Self {
@@ -249,21 +133,6 @@ impl Default for ModelConfig {
             overlap: OverlapMode::Release,
             hypotheses: HypothesisConfig::default(),
             quirks: Quirks::default(),
-        }
-    }
-}
-
-impl Default for VitConfig {
-    fn default() -> Self {
-        Self {
-            embed_dim: 768,
-            depth: 12,
-            heads: 12,
-            patch_size: 14,
-            register_tokens: 4,
-            no_embed_class: true,
-            out_dim: 256,
-            freeze: true,
         }
     }
 }

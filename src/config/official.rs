@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::{
-    ColorConfig, Config, ConfigError, EmbeddingEvaluation, OverlapMode, Quirks, VitConfig,
-    error::UnknownName, validate,
+    ColorConfig, Config, ConfigError, EmbeddingEvaluation, OverlapMode, PositionResampling, Quirks,
+    VitConfig, error::UnknownName, validate,
 };
 
 /// Points of the reference cloud before farthest point sampling; the release has it in its data configuration.
@@ -125,8 +125,7 @@ impl OfficialConfig {
         for (name, stage) in [("coarse_point_matching", coarse), ("fine_point_matching", fine)] {
             require(&format!("{name}.sim_type"), &stage.sim_type, "cosine")?;
             require(&format!("{name}.normalize_feat"), &stage.normalize_feat.to_string(), "true")?;
-            let input = format!("{}", vit.out_dim);
-            require(&format!("{name}.input_dim"), &stage.input_dim.to_string(), &input)?;
+            require(&format!("{name}.input_dim"), &stage.input_dim.to_string(), &vit.out_dim.to_string())?;
         }
         require("fine_point_matching.use_xyz", &fine.use_xyz.unwrap_or(true).to_string(), "true")?;
 
@@ -220,6 +219,8 @@ impl FeatureExtraction {
             register_tokens: if registers { 4 } else { 0 },
             no_embed_class: registers,
             out_dim: self.out_dim,
+            weights: None,
+            position_resampling: PositionResampling::Release,
             freeze: self.freeze_vit,
         })
     }

@@ -5,6 +5,7 @@
 //! the resolved `config.toml`. A resumed run continues bit for bit: weights, moments, averages, schedule and the
 //! position in the stream of pairs are saved, and random numbers belong to pairs, not to the process.
 
+mod beginning;
 mod datasets;
 mod ema;
 mod error;

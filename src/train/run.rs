@@ -8,7 +8,7 @@ use std::{
 use burn::tensor::Tensor;
 
 use super::{
-    TrainError,
+    TrainError, beginning,
     datasets::Datasets,
     failure, figures, folder,
     journal::{Event, Journal, StepRecord, ValidationRecord},
@@ -75,9 +75,7 @@ impl<'a> Run<'a> {
         let progress = match state::restore(&options.out, &mut optimization, &config.model)? {
             Some(progress) => progress,
             None => {
-                if let Some(path) = &options.init {
-                    let model = optimization.model().clone();
-                    let (model, _) = checkpoint::load_into(path, model, &config.model)?;
+                if let Some(model) = beginning::weights(config, options, optimization.model())? {
                     optimization = Optimization::new(model, &config.train);
                 }
                 Progress::default()

@@ -8,13 +8,13 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use unopose::{
-    checkpoint::{self, OfficialState, TensorFile},
+    checkpoint::{self, Backbone, OfficialState, TensorFile},
     device::DeviceChoice,
 };
 
 #[derive(Args)]
 pub struct InspectArguments {
-    /// Checkpoint of unotrain, or official state (safetensors, or PyTorch .pth/.pt)
+    /// Checkpoint of unotrain, official state, or DINOv2 backbone (safetensors, or PyTorch .pth/.pt)
     file: PathBuf,
     /// Also list every tensor
     #[arg(long)]
@@ -38,30 +38,43 @@ enum Form {
     Official,
 }
 
+/// The networks' parts, whose numbers are counted apart.
+const PARTS: [&str; 6] = [
+    "feature_extraction",
+    "geo_embedding",
+    "coarse_point_matching",
+    "fine_point_matching",
+    "patch_embed",
+    "blocks",
+];
+
 pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
     let path = &arguments.file;
     let mut out = String::new();
     let (tensors, kind) = match own(path)? {
         Some(file) => (file.tensors, "checkpoint of unotrain"),
-        None => {
-            let state = OfficialState::read(path)?;
-            for notice in &state.notices {
-                writeln!(out, "note: {notice}")?;
+        None => match Backbone::read(path)? {
+            Some(backbone) => {
+                write!(out, "{}", describe(&backbone))?;
+                (backbone.tensors, "DINOv2 backbone")
             }
-            if !state.unused.is_empty() {
-                writeln!(out, "note: stored but not used: {}", state.unused.join(", "))?;
+            None => {
+                let state = OfficialState::read(path)?;
+                write!(out, "{}{}", notes(&state.notices, &state.unused), state.sizes())?;
+                (state.tensors, "official state of the PyTorch release")
             }
-            write!(out, "{}", state.sizes())?;
-            (state.tensors, "official state of the PyTorch release")
-        }
+        },
     };
     writeln!(out, "kind: {kind}")?;
     let count = |part: &str| -> usize {
         tensors.iter().filter(|(name, _)| name.starts_with(part)).map(|(_, t)| t.num_elements()).sum()
     };
     writeln!(out, "tensors: {}, {} numbers", tensors.len(), count(""))?;
-    for part in ["feature_extraction", "geo_embedding", "coarse_point_matching", "fine_point_matching"] {
-        writeln!(out, "  {part}: {}", count(part))?;
+    for part in PARTS {
+        let numbers = count(part);
+        if numbers > 0 {
+            writeln!(out, "  {part}: {numbers}")?;
+        }
     }
     if own(path)?.is_some() {
         let meta = checkpoint::read_meta(path)?;
@@ -81,6 +94,18 @@ pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
+}
+
+/// Conversions and stored tensors that nothing reads, a line each.
+fn notes(notices: &[String], unused: &[String]) -> String {
+    let unused = (!unused.is_empty()).then(|| format!("stored but not used: {}", unused.join(", ")));
+    notices.iter().chain(&unused).map(|note| format!("note: {note}\n")).collect()
+}
+
+fn describe(backbone: &Backbone) -> String {
+    let unknown: String = backbone.unknown.iter().map(|name| format!("unknown tensor: {name}\n")).collect();
+    let notes = notes(&backbone.notices, &backbone.unused);
+    format!("{notes}{unknown}{}naming: {}\n", backbone.sizes(), backbone.naming)
 }
 
 pub fn export(arguments: &ExportArguments) -> anyhow::Result<()> {

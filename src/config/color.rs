@@ -1,0 +1,85 @@
+//! Colour encoders.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// Colour features per point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum ColorConfig {
+    /// DINOv2-style vision transformer with linear up-sampling to a quarter of the crop's resolution.
+    Vit(VitConfig),
+    /// Small trainable convolutional encoder, sampled at the points on three levels.
+    Conv {
+        /// Channels at half, quarter and eighth resolution.
+        channels: [usize; 3],
+        /// Channels of the point features.
+        out_dim: usize,
+    },
+    /// Geometry only: every point gets the same learned vector.
+    None {
+        /// Channels of the constant feature.
+        out_dim: usize,
+    },
+}
+
+/// Vision transformer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VitConfig {
+    pub embed_dim: usize,
+    pub depth: usize,
+    pub heads: usize,
+    pub patch_size: usize,
+    pub register_tokens: usize,
+    /// The position embedding has no entry for the class token (timm's register variants).
+    pub no_embed_class: bool,
+    /// Channels of the up-sampled feature map.
+    pub out_dim: usize,
+    /// DINOv2 backbone to begin training with: safetensors or PyTorch file in the naming of Meta, timm or Hugging Face.
+    /// A checkpoint holds the transformer's weights and does not need this file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+    /// How the position embedding of `weights` comes to this network's number of patches.
+    pub position_resampling: PositionResampling,
+    /// Do not train the transformer (the up-sampling is always trained).
+    pub freeze: bool,
+}
+
+/// Resampling of a backbone's position embedding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PositionResampling {
+    /// As the distributor of the file does it.
+    Source,
+    /// As the release of UNOPose does it with every file: bicubic, no antialias.
+    Release,
+}
+
+impl ColorConfig {
+    /// Channels of a point's colour feature.
+    pub fn out_dim(&self) -> usize {
+        match self {
+            Self::Vit(vit) => vit.out_dim,
+            Self::Conv { out_dim, .. } | Self::None { out_dim } => *out_dim,
+        }
+    }
+}
+
+impl Default for VitConfig {
+    fn default() -> Self {
+        Self {
+            embed_dim: 768,
+            depth: 12,
+            heads: 12,
+            patch_size: 14,
+            register_tokens: 4,
+            no_embed_class: true,
+            out_dim: 256,
+            weights: None,
+            position_resampling: PositionResampling::Source,
+            freeze: true,
+        }
+    }
+}

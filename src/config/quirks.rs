@@ -1,0 +1,74 @@
+//! The release's quirks, one switch each.
+
+use serde::{Deserialize, Serialize};
+
+/// Behaviours of the official release that differ from what it means to compute. `true` reproduces the release
+/// (its weights need that), `false` is the corrected form.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Quirks {
+    /// Reference frame coordinates are gathered with the indices of another point order.
+    pub misaligned_reference_grf: bool,
+    /// The sparse tokens of the fine stage are those of the previous dense point.
+    pub sparse_off_by_one: bool,
+    /// Coarse overlap scores of the reference start at the reference's count.
+    pub score_split_at_reference: bool,
+    /// The translation of the noisy training pose is clamped to z >= 1e-6.
+    pub clamp_noisy_translation: bool,
+    /// Clouds stay in their camera frames (false: each is centred on its own mean).
+    pub uncentred_clouds: bool,
+    /// The sign of a frame's z axis comes from counting points beyond 1e-3 on both sides (false: sign of the sum of cubes).
+    pub counted_z_sign: bool,
+    /// Hypothesis triplets may repeat points or be collinear.
+    pub degenerate_triplets: bool,
+    /// Training rotates the reference by three uniform Euler angles (false: uniform on SO(3)).
+    pub euler_reference_rotation: bool,
+    /// Masked reference and training pixels without depth become the point (0, 0, 0).
+    pub keep_zero_depth: bool,
+    /// The reference may come from the query's image; symmetric objects get no special labels.
+    pub same_image_reference: bool,
+    /// BatchNorm of the positional encoding counts padded neighbours.
+    pub batchnorm_counts_padding: bool,
+}
+
+impl Quirks {
+    /// Everything as the release does it.
+    pub fn release() -> Self {
+        Self {
+            misaligned_reference_grf: true,
+            sparse_off_by_one: true,
+            score_split_at_reference: true,
+            clamp_noisy_translation: true,
+            uncentred_clouds: true,
+            counted_z_sign: true,
+            degenerate_triplets: true,
+            euler_reference_rotation: true,
+            keep_zero_depth: true,
+            same_image_reference: true,
+            batchnorm_counts_padding: true,
+        }
+    }
+
+    /// Everything corrected.
+    pub fn corrected() -> Self {
+        Self {
+            misaligned_reference_grf: false,
+            sparse_off_by_one: false,
+            score_split_at_reference: false,
+            clamp_noisy_translation: false,
+            uncentred_clouds: false,
+            counted_z_sign: false,
+            degenerate_triplets: false,
+            euler_reference_rotation: false,
+            keep_zero_depth: false,
+            same_image_reference: false,
+            batchnorm_counts_padding: false,
+        }
+    }
+}
+
+impl Default for Quirks {
+    fn default() -> Self {
+        Self::corrected()
+    }
+}
