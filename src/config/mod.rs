@@ -27,7 +27,7 @@ pub use model::{
     OverlapMode,
 };
 pub use quirks::Quirks;
-pub use synth::{SensorConfig, SynthCameraConfig, SynthConfig};
+pub use synth::{MeshLayout, MeshSize, SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;
 
 use serde::{Deserialize, Serialize};

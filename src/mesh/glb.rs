@@ -1,11 +1,11 @@
-//! glTF 2.0 (binary or with separate buffers): all triangle primitives of the default scene, one base colour texture.
+//! glTF 2.0 (binary or with separate buffers): all triangle primitives of the default scene with their base colours.
 
 use std::{path::Path, sync::Arc};
 
 use gltf::image::Format;
 use nalgebra::{Matrix4, Point3};
 
-use super::{MeshError, TriangleMesh};
+use super::{MeshError, TriangleMesh, atlas::Material};
 
 pub(super) fn read(path: &Path) -> Result<TriangleMesh, MeshError> {
     let (document, buffers, images) = gltf::import(path).map_err(|e| MeshError::read(path, e))?;
@@ -14,7 +14,9 @@ pub(super) fn read(path: &Path) -> Result<TriangleMesh, MeshError> {
     let mut mesh = TriangleMesh::default();
     let mut pending: Vec<(gltf::Node, Matrix4<f32>)> =
         scene.nodes().map(|n| (n, Matrix4::identity())).collect();
-    let mut texture = None;
+    let mut of_face = Vec::new();
+    // Primitives without a material get the one after the last.
+    let default_material = document.materials().len();
     while let Some((node, parent)) = pending.pop() {
         let local: Matrix4<f32> = node.transform().matrix().into();
         let t_scene_node = parent * local;
@@ -22,16 +24,33 @@ pub(super) fn read(path: &Path) -> Result<TriangleMesh, MeshError> {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             if primitive.mode() == gltf::mesh::Mode::Triangles {
                 append(&mut mesh, &primitive, &buffers, &t_scene_node, path)?;
-                let base = primitive.material().pbr_metallic_roughness().base_color_texture();
-                texture = texture.or(base.map(|t| t.texture().source().index()));
+                let material = primitive.material().index().unwrap_or(default_material);
+                of_face.resize(mesh.faces.len(), material as u32);
             }
         }
     }
-    mesh.texture = texture.and_then(|i| images.get(i)).and_then(to_rgb).map(Arc::new);
-    if mesh.texture.is_none() && texture.is_some() {
-        tracing::warn!("{}: base colour texture has an unsupported pixel format; left out", path.display());
-    }
+    let pictures: Vec<Option<Arc<image::RgbImage>>> =
+        images.iter().map(|data| to_rgb(data).map(Arc::new)).collect();
+    let mut materials: Vec<Material> = document
+        .materials()
+        .map(|material| {
+            let surface = material.pbr_metallic_roughness();
+            let index = surface.base_color_texture().map(|t| t.texture().source().index());
+            let picture = index.and_then(|i| pictures.get(i).cloned().flatten());
+            if picture.is_none() && index.is_some() {
+                tracing::warn!("{}: a texture has an unsupported pixel format; left out", path.display());
+            }
+            let factor = surface.base_color_factor();
+            Material { picture, color: [factor[0], factor[1], factor[2]].map(srgb) }
+        })
+        .collect();
+    materials.push(Material { picture: None, color: [176; 3] });
+    mesh.paint(&materials, &of_face);
     Ok(mesh)
+}
+
+fn srgb(linear: f32) -> u8 {
+    (linear.clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0).round() as u8
 }
 
 fn append(
@@ -60,9 +79,6 @@ fn append(
         Some(uvs) => mesh.uvs.extend(uvs.into_f32().map(|[u, v]| [u, 1.0 - v])),
         None => mesh.uvs.extend(std::iter::repeat_n([0.0, 0.0], count)),
     }
-    let factor = primitive.material().pbr_metallic_roughness().base_color_factor();
-    let srgb = |c: f32| (c.clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0).round() as u8;
-    mesh.colors.extend(std::iter::repeat_n([srgb(factor[0]), srgb(factor[1]), srgb(factor[2])], count));
     Ok(())
 }
 

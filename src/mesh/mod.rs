@@ -2,6 +2,7 @@
 //!
 //! [`load`] picks the reader by extension and hands out a validated mesh; [`TriangleMesh`] itself is plain data.
 
+mod atlas;
 mod error;
 mod glb;
 mod measure;
@@ -52,5 +53,7 @@ pub fn load(path: &Path, scale_to_metres: f32) -> Result<TriangleMesh, MeshError
     Ok(mesh)
 }
 
+#[cfg(test)]
+mod format_tests;
 #[cfg(test)]
 mod tests;

@@ -7,6 +7,7 @@
 
 mod buffer;
 pub mod depth;
+mod indirect;
 mod instances;
 mod raster;
 mod room;
@@ -17,5 +18,5 @@ pub mod texture;
 mod view;
 
 pub use instances::{InstanceView, instance_views};
-pub use scene::{Finish, Light, Placed, Room, Scene, Surface};
+pub use scene::{Block, Finish, Light, Placed, Room, Scene, Surface};
 pub use view::{Camera, Rendering, SceneRenderer};

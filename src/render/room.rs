@@ -1,73 +1,68 @@
-//! Rays against the analytic table and room.
+//! Rays against the analytic table, boards and room.
 
 use nalgebra::Vector3;
 
 use super::{
-    scene::{Finish, Room, Surface},
+    scene::{Block, Finish, Room, Surface},
     texture::{self, Wrap},
 };
 
 /// Where a ray meets the surroundings.
 pub(super) struct RoomHit {
-    /// Ray parameter.
-    pub t: f32,
     pub normal: Vector3<f32>,
     /// Linear light.
     pub albedo: [f32; 3],
     pub finish: Finish,
 }
 
-/// Thickness of the table top, metres.
-const TABLE_THICKNESS: f32 = 0.03;
+/// What a ray meets first, before its colour is looked up.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RoomPlace {
+    /// Ray parameter.
+    pub t: f32,
+    /// Index into the blocks; `None`: the room itself.
+    block: Option<usize>,
+    axis: usize,
+}
+
+impl RoomPlace {
+    /// Wall, floor or ceiling.
+    pub(super) fn is_wall(&self) -> bool {
+        self.block.is_none()
+    }
+}
 
 impl Room {
-    /// First surface hit by `origin + t * direction` for t > 0.
-    pub(super) fn cast(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> RoomHit {
-        self.cast_table(origin, direction).unwrap_or_else(|| self.cast_walls(origin, direction))
-    }
-
-    /// The parameter alone, without the colour.
-    pub(super) fn distance(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> f32 {
-        match self.table_entry(origin, direction) {
-            Some((t, ..)) => t,
-            None => self.wall_exit(origin, direction).0,
+    /// First surface met by `origin + t * direction` for t > 0.
+    pub(super) fn meet(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> RoomPlace {
+        let (t, axis) = self.wall_exit(origin, direction);
+        let mut first = RoomPlace { t, block: None, axis };
+        for (i, block) in self.blocks.iter().enumerate() {
+            if let Some((t, axis)) = block.entry(origin, direction, first.t) {
+                first = RoomPlace { t, block: Some(i), axis };
+            }
         }
+        first
     }
 
-    fn table_entry(
+    /// Normal and colour there.
+    pub(super) fn surface_at(
         &self,
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
-    ) -> Option<(f32, usize, Vector3<f32>, Vector3<f32>)> {
-        let (s, c) = self.table_angle.sin_cos();
-        let turn = |v: &Vector3<f32>| Vector3::new(c * v.x + s * v.y, -s * v.x + c * v.y, v.z);
-        let (o, d) = (turn(origin), turn(direction));
-        let half = [self.table_half[0], self.table_half[1], 0.5 * TABLE_THICKNESS];
-        let center = [0.0, 0.0, -0.5 * TABLE_THICKNESS];
-        let (mut enter, mut leave, mut axis) = (0f32, f32::MAX, 2);
-        for k in 0..3 {
-            let inv = 1.0 / d[k];
-            let (mut near, mut far) =
-                ((center[k] - half[k] - o[k]) * inv, (center[k] + half[k] - o[k]) * inv);
-            if near > far {
-                std::mem::swap(&mut near, &mut far);
-            }
-            if near > enter {
-                (enter, axis) = (near, k);
-            }
-            leave = leave.min(far);
-        }
-        (enter > 0.0 && enter <= leave).then(|| (enter, axis, o + d * enter, d))
-    }
-
-    fn cast_table(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> Option<RoomHit> {
-        let (t, axis, p, d) = self.table_entry(origin, direction)?;
-        let (s, c) = self.table_angle.sin_cos();
-        let mut local = Vector3::zeros();
-        local[axis] = -d[axis].signum();
-        let normal = Vector3::new(c * local.x - s * local.y, s * local.x + c * local.y, local.z);
-        let at = if axis == 2 { [p.x, p.y] } else { [p.x + p.y, p.z] };
-        Some(RoomHit { t, normal, albedo: self.table.albedo(at), finish: self.table.finish })
+        place: &RoomPlace,
+    ) -> RoomHit {
+        let (p, axis) = (origin + direction * place.t, place.axis);
+        let Some(block) = place.block.map(|i| &self.blocks[i]) else {
+            let mut normal = Vector3::zeros();
+            normal[axis] = -direction[axis].signum();
+            let surface = if axis == 2 && direction.z < 0.0 { &self.floor } else { &self.wall };
+            return surface.hit(normal, flat(axis, &p));
+        };
+        let (q, d) = (block.to_local(&(p - block.center)), block.to_local(direction));
+        let mut normal = Vector3::zeros();
+        normal[axis] = -d[axis].signum();
+        block.surface.hit(block.to_world(&normal), flat(axis, &q))
     }
 
     fn wall_exit(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> (f32, usize) {
@@ -76,31 +71,111 @@ impl Room {
         let exit = |k: usize| {
             let bound = if direction[k] > 0.0 { high[k] } else { low[k] };
             let t = (bound - origin[k]) / direction[k];
-            if t.is_nan() { f32::MAX } else { t.max(0.0) }
+            if direction[k] == 0.0 || t.is_nan() { f32::MAX } else { t.max(0.0) }
         };
         (0..3).map(|k| (exit(k), k)).fold((f32::MAX, 2), |a, b| if b.0 < a.0 { b } else { a })
     }
+}
 
-    fn cast_walls(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> RoomHit {
-        let (t, axis) = self.wall_exit(origin, direction);
-        let p = origin + direction * t;
-        let mut normal = Vector3::zeros();
-        normal[axis] = -direction[axis].signum();
-        let floor = axis == 2 && direction.z < 0.0;
-        let surface = if floor { &self.floor } else { &self.wall };
-        let at = match axis {
-            0 => [p.y, p.z],
-            1 => [p.x, p.z],
-            _ => [p.x, p.y],
-        };
-        RoomHit { t, normal, albedo: surface.albedo(at), finish: surface.finish }
+impl Block {
+    fn to_local(&self, v: &Vector3<f32>) -> Vector3<f32> {
+        let [s, c] = self.turn;
+        Vector3::new(c * v.x + s * v.y, -s * v.x + c * v.y, v.z)
+    }
+
+    fn to_world(&self, v: &Vector3<f32>) -> Vector3<f32> {
+        let [s, c] = self.turn;
+        Vector3::new(c * v.x - s * v.y, s * v.x + c * v.y, v.z)
+    }
+
+    /// Parameter and axis where the ray enters before `limit`; rays that start inside do not.
+    fn entry(&self, origin: &Vector3<f32>, direction: &Vector3<f32>, limit: f32) -> Option<(f32, usize)> {
+        let (o, d) = (self.to_local(&(origin - self.center)), self.to_local(direction));
+        let (mut enter, mut leave, mut axis) = (0f32, limit, 2);
+        for k in 0..3 {
+            let inv = 1.0 / d[k];
+            let (a, b) = ((-self.half[k] - o[k]) * inv, (self.half[k] - o[k]) * inv);
+            let (near, far) = if a > b { (b, a) } else { (a, b) };
+            if near > enter {
+                (enter, axis) = (near, k);
+            }
+            leave = leave.min(far);
+        }
+        (enter > 0.0 && enter < leave).then_some((enter, axis))
+    }
+
+    /// The eight corners, world frame.
+    pub(super) fn corners(&self) -> [Vector3<f32>; 8] {
+        std::array::from_fn(|i| {
+            let sign = |bit: usize| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+            self.center + self.to_world(&Vector3::from_fn(|k, _| sign(k) * self.half[k]))
+        })
+    }
+}
+
+/// The two coordinates of a point on a side across `axis`.
+fn flat(axis: usize, p: &Vector3<f32>) -> [f32; 2] {
+    match axis {
+        0 => [p.y, p.z],
+        1 => [p.x, p.z],
+        _ => [p.x, p.y],
     }
 }
 
 impl Surface {
-    fn albedo(&self, at: [f32; 2]) -> [f32; 3] {
+    fn hit(&self, normal: Vector3<f32>, at: [f32; 2]) -> RoomHit {
         let (s, c) = self.angle.sin_cos();
         let uv = [(c * at[0] + s * at[1]) / self.tile, (-s * at[0] + c * at[1]) / self.tile];
-        texture::sample(&self.picture, uv, Wrap::Repeat)
+        RoomHit { normal, albedo: texture::sample(&self.picture, uv, Wrap::Repeat), finish: self.finish }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+
+    fn surface() -> Surface {
+        let picture = Arc::new(image::RgbImage::from_pixel(1, 1, image::Rgb([128; 3])));
+        Surface { picture, tile: 1.0, angle: 0.0, finish: Finish { roughness: 1.0, metallic: 0.0 } }
+    }
+
+    #[test]
+    fn rays_meet_the_nearest_of_table_board_and_wall() {
+        let block = |center: [f32; 3], half: [f32; 3], angle: f32| Block {
+            center: center.into(),
+            half,
+            turn: angle.sin_cos().into(),
+            surface: surface(),
+            casts_shadow: false,
+        };
+        let room = Room {
+            // A table top, and a post turned by 45 degrees whose edge looks along -x.
+            blocks: vec![
+                block([0.0, 0.0, -0.015], [0.5, 0.5, 0.015], 0.3),
+                block([0.3, 0.0, 0.1], [0.05, 0.05, 0.1], std::f32::consts::FRAC_PI_4),
+            ],
+            floor: surface(),
+            wall: surface(),
+            floor_drop: 0.8,
+            half: 3.0,
+            ceiling: 2.0,
+        };
+        let meet = |o: [f32; 3], d: [f32; 3]| {
+            let (o, d) = (o.into(), d.into());
+            let place = room.meet(&o, &d);
+            (place.t, room.surface_at(&o, &d, &place).normal)
+        };
+        let down = meet([0.1, 0.1, 1.0], [0.0, 0.0, -1.0]);
+        assert!((down.0 - 1.0).abs() < 1e-6 && (down.1 - Vector3::z()).norm() < 1e-6);
+        // Half the diagonal of the post before its centre.
+        let post = meet([-1.0, 0.001, 0.1], [1.0, 0.0, 0.0]);
+        assert!((post.0 - (1.3 - 0.05 * 2f32.sqrt())).abs() < 2e-3, "{}", post.0);
+        assert!((post.1.x + 0.5f32.sqrt()).abs() < 1e-5);
+        let wall = meet([0.0, 0.0, 1.0], [0.0, 2.0, 0.0]);
+        assert!((wall.0 - 1.5).abs() < 1e-6 && (wall.1 + Vector3::y()).norm() < 1e-6);
+        let floor = meet([1.0, 1.0, 0.2], [0.0, 0.0, -1.0]);
+        assert!((floor.0 - 1.0).abs() < 1e-6);
     }
 }

@@ -45,13 +45,23 @@ pub struct Surface {
     pub finish: Finish,
 }
 
-/// A table in a box-shaped room.
+/// A box of the surroundings: table top, board of a shelf, wall of a bin, furniture.
+#[derive(Clone, Debug)]
+pub struct Block {
+    pub center: Vector3<f32>,
+    /// Half extents along its own axes, metres.
+    pub half: [f32; 3],
+    /// Sine and cosine of its angle about z.
+    pub turn: [f32; 2],
+    pub surface: Surface,
+    /// Near enough to the objects to throw shadows on them.
+    pub casts_shadow: bool,
+}
+
+/// A box-shaped room with blocks in it.
 #[derive(Clone, Debug)]
 pub struct Room {
-    pub table: Surface,
-    /// Half extents of the table top in x and y, metres.
-    pub table_half: [f32; 2],
-    pub table_angle: f32,
+    pub blocks: Vec<Block>,
     pub floor: Surface,
     pub wall: Surface,
     /// Floor below the table top, metres.

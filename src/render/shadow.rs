@@ -40,9 +40,31 @@ const TAPS: [[f32; 2]; 8] = [
     [0.47, -0.80],
 ];
 
+/// Faces of a box whose corner `i` has the signs of the bits of `i`.
+const BOX_FACES: [[u32; 3]; 12] = [
+    [0, 2, 1],
+    [1, 2, 3],
+    [4, 5, 6],
+    [5, 7, 6],
+    [0, 1, 4],
+    [1, 5, 4],
+    [2, 6, 3],
+    [3, 6, 7],
+    [0, 4, 2],
+    [2, 4, 6],
+    [1, 3, 5],
+    [3, 7, 5],
+];
+
 impl ShadowMap {
-    /// `center` and `radius` bound the objects.
-    pub fn new(light: &Light, objects: &[Placed], center: &Vector3<f32>, radius: f32) -> Self {
+    /// `center` and `radius` bound the objects; `boards` are the corners of boxes that throw shadows, too.
+    pub fn new(
+        light: &Light,
+        objects: &[Placed],
+        boards: &[[Vector3<f32>; 8]],
+        center: &Vector3<f32>,
+        radius: f32,
+    ) -> Self {
         let distance = (light.position - center).norm().max(radius * 1.05);
         let z = (center - light.position).normalize();
         let helper = if z.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
@@ -57,16 +79,20 @@ impl ShadowMap {
             Intrinsics { fx: focal.into(), fy: focal.into(), cx: middle.into(), cy: middle.into() };
         let window = Window { min: [0, 0], max: [SIZE, SIZE] };
         let mut inverse = vec![0f32; (SIZE * SIZE) as usize];
-        for object in objects {
-            let mesh = &object.mesh;
-            let projected =
-                raster::project(&mesh.vertices, &(t_light_world * object.t_world_object), &intrinsics);
-            for face in &mesh.faces {
+        let mut draw = |vertices: &[[f32; 3]], faces: &[[u32; 3]], t_light_mesh: &Pose| {
+            let projected = raster::project(vertices, t_light_mesh, &intrinsics);
+            for face in faces {
                 raster::triangle(face.map(|i| projected[i as usize]), &window, |f| {
                     let cell = &mut inverse[(f.row * SIZE + f.col) as usize];
                     *cell = cell.max(f.inv_z);
                 });
             }
+        };
+        for object in objects {
+            draw(&object.mesh.vertices, &object.mesh.faces, &(t_light_world * object.t_world_object));
+        }
+        for board in boards {
+            draw(&board.map(|c| c.into()), &BOX_FACES, &t_light_world);
         }
         let depth: Vec<f32> = inverse.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect();
         let near_tile = near_tiles(&depth);

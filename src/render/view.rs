@@ -4,7 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     buffer::{Sample, VisibilityBuffer},
-    scene::{Finish, Light, Placed, Scene},
+    indirect::Bounces,
+    room::RoomPlace,
+    scene::{Block, Finish, Light, Placed, Scene},
     shading::Shaded,
     shadow::ShadowMap,
     texture::{self, Wrap},
@@ -46,28 +48,49 @@ pub struct SceneRenderer<'a> {
     /// Large light straight above: how open the sky is.
     sky: ShadowMap,
     center: Vector3<f32>,
+    bounces: Option<Bounces>,
 }
 
-struct Surfel {
-    point: Vector3<f32>,
-    normal: Vector3<f32>,
-    albedo: [f32; 3],
-    finish: Finish,
+/// A surface point under a pixel or ray.
+pub(super) struct Surfel {
+    pub point: Vector3<f32>,
+    pub normal: Vector3<f32>,
+    pub albedo: [f32; 3],
+    pub finish: Finish,
 }
 
 impl<'a> SceneRenderer<'a> {
     pub fn new(scene: &'a Scene) -> Self {
         let (center, radius) = bounding_sphere(&scene.objects);
-        let map = |light: &Light| ShadowMap::new(light, &scene.objects, &center, radius);
+        let boards: Vec<[Vector3<f32>; 8]> =
+            scene.room.blocks.iter().filter(|b| b.casts_shadow).map(Block::corners).collect();
+        let far = boards.iter().flatten().map(|c| (c - center).norm()).fold(radius, f32::max);
+        let map = |light: &Light| ShadowMap::new(light, &scene.objects, &boards, &center, far);
         let above = Light { position: center + Vector3::z() * 2.0, radius: 0.9, color: [1.0; 3] };
-        Self { scene, shadows: scene.lights.iter().map(map).collect(), sky: map(&above), center }
+        Self {
+            scene,
+            shadows: scene.lights.iter().map(map).collect(),
+            sky: map(&above),
+            center,
+            bounces: None,
+        }
+    }
+
+    /// Ambient light is gathered by this many rays per pixel instead of being taken from the sky's shadow map; 0: not.
+    pub fn with_indirect_rays(self, rays: u32) -> Self {
+        Self { bounces: (rays > 0).then(|| Bounces::new(self.scene, rays)), ..self }
+    }
+
+    pub(super) fn scene(&self) -> &Scene {
+        self.scene
     }
 
     /// Renders with `density`² colour samples per pixel.
     pub fn render(&self, camera: &Camera, density: u32) -> Rendering {
         let pixels = VisibilityBuffer::new(&self.scene.objects, camera, 1);
+        let mut surfels = Vec::new();
         let mut out = Rendering {
-            radiance: self.radiance(camera, density),
+            radiance: Vec::new(),
             depth: DepthMap::zeros(camera.width, camera.height),
             ids: vec![0; pixels.samples.len()],
             incidence: vec![0.0; pixels.samples.len()],
@@ -77,18 +100,23 @@ impl<'a> SceneRenderer<'a> {
         let rays = Rays::new(camera, &pixels.intrinsics);
         for (i, sample) in pixels.samples.iter().enumerate() {
             let direction = rays.direction(i as u32 % pixels.width, i as u32 / pixels.width);
-            let (z, on_object) = self.nearest(&rays.origin, &direction, sample);
-            let surfel = self.surfel(&rays.origin, &direction, sample, on_object);
+            let (z, room) = self.nearest(&rays.origin, &direction, sample);
+            let surfel = self.surfel(&rays.origin, &direction, sample, &room);
             out.depth.data[i] = z;
-            out.ids[i] = if on_object { sample.object as u16 + 1 } else { 0 };
+            out.ids[i] = if room.is_none() { sample.object as u16 + 1 } else { 0 };
             out.incidence[i] = -surfel.normal.dot(&direction) / direction.norm();
             out.albedo[i] = luminance(&surfel.albedo);
             out.finish[i] = surfel.finish;
+            if self.bounces.is_some() {
+                surfels.push(surfel);
+            }
         }
+        let gathered = self.bounces.as_ref().map(|b| b.gather(self, &out, &surfels));
+        out.radiance = self.radiance(camera, density, gathered.as_deref());
         out
     }
 
-    fn radiance(&self, camera: &Camera, density: u32) -> Vec<[f32; 3]> {
+    fn radiance(&self, camera: &Camera, density: u32, gathered: Option<&[[f32; 3]]>) -> Vec<[f32; 3]> {
         let buffer = VisibilityBuffer::new(&self.scene.objects, camera, density);
         let rays = Rays::new(camera, &buffer.intrinsics);
         let (width, per_pixel) = (camera.width as usize, (density * density) as f32);
@@ -96,10 +124,12 @@ impl<'a> SceneRenderer<'a> {
         for (i, sample) in buffer.samples.iter().enumerate() {
             let (col, row) = (i as u32 % buffer.width, i as u32 / buffer.width);
             let direction = rays.direction(col, row);
-            let (_, on_object) = self.nearest(&rays.origin, &direction, sample);
-            let surfel = self.surfel(&rays.origin, &direction, sample, on_object);
-            let color = self.shade(&surfel, &(-direction.normalize()), filter_turn(col, row));
-            let sum = &mut sums[(row / density) as usize * width + (col / density) as usize];
+            let (_, room) = self.nearest(&rays.origin, &direction, sample);
+            let surfel = self.surfel(&rays.origin, &direction, sample, &room);
+            let pixel = (row / density) as usize * width + (col / density) as usize;
+            let arriving = gathered.map(|g| g[pixel]);
+            let color = self.shade(&surfel, &(-direction.normalize()), filter_turn(col, row), arriving);
+            let sum = &mut sums[pixel];
             for k in 0..3 {
                 // A clipped sample keeps its edge smooth; an unclipped highlight would turn the whole pixel white.
                 sum[k] += color[k].min(4.0) / per_pixel;
@@ -108,23 +138,27 @@ impl<'a> SceneRenderer<'a> {
         sums
     }
 
-    /// Depth along the optical axis and whether an object is in front of the room.
-    fn nearest(&self, origin: &Vector3<f32>, direction: &Vector3<f32>, sample: &Sample) -> (f32, bool) {
-        let room = self.scene.room.distance(origin, direction);
-        let on_object = sample.inv_z * room > 1.0;
-        (if on_object { 1.0 / sample.inv_z } else { room }, on_object)
-    }
-
-    fn surfel(
+    /// Depth along the optical axis, and the place in the room unless an object is in front of it.
+    fn nearest(
         &self,
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
         sample: &Sample,
-        on_object: bool,
+    ) -> (f32, Option<RoomPlace>) {
+        let room = self.scene.room.meet(origin, direction);
+        if sample.inv_z * room.t > 1.0 { (1.0 / sample.inv_z, None) } else { (room.t, Some(room)) }
+    }
+
+    pub(super) fn surfel(
+        &self,
+        origin: &Vector3<f32>,
+        direction: &Vector3<f32>,
+        sample: &Sample,
+        room: &Option<RoomPlace>,
     ) -> Surfel {
-        if !on_object {
-            let hit = self.scene.room.cast(origin, direction);
-            let point = origin + direction * hit.t;
+        if let Some(place) = room {
+            let hit = self.scene.room.surface_at(origin, direction, place);
+            let point = origin + direction * place.t;
             return Surfel { point, normal: hit.normal, albedo: hit.albedo, finish: hit.finish };
         }
         let placed = &self.scene.objects[sample.object as usize];
@@ -150,10 +184,36 @@ impl<'a> SceneRenderer<'a> {
         Surfel { point: origin + direction / sample.inv_z, normal, albedo, finish: placed.finish }
     }
 
-    fn shade(&self, surfel: &Surfel, view: &Vector3<f32>, turn: [f32; 2]) -> [f32; 3] {
+    /// Light that a surface met by a gathering ray sends back: what the lights give it, and some of the ambient light.
+    pub(super) fn bounced(&self, surfel: &Surfel, direction: &Vector3<f32>) -> Vector3<f32> {
+        let ambient = self.surroundings(&surfel.normal).map(|c| 0.5 * c).into();
+        let color = self.shade(surfel, &-direction, [1.0, 0.0], Some(ambient));
+        // Fireflies would need more rays to average out.
+        color.map(|c| c.min(2.0)).into()
+    }
+
+    /// Radiance of the far surroundings in a direction.
+    pub(super) fn surroundings(&self, direction: &Vector3<f32>) -> Vector3<f32> {
+        let up = 0.5 + 0.5 * direction.z;
+        Vector3::from(self.scene.sky) * up + Vector3::from(self.scene.ground) * (1.0 - up)
+    }
+
+    /// Radiance towards `view`; `arriving` is the gathered ambient light where there is any.
+    fn shade(
+        &self,
+        surfel: &Surfel,
+        view: &Vector3<f32>,
+        turn: [f32; 2],
+        arriving: Option<[f32; 3]>,
+    ) -> [f32; 3] {
         let shaded = Shaded { normal: &surfel.normal, view, albedo: surfel.albedo, finish: surfel.finish };
-        let open = self.sky.visibility(&surfel.point, &surfel.normal, turn);
-        let mut color = shaded.ambient(&self.scene.sky, &self.scene.ground, 0.35 + 0.65 * open);
+        let mut color = match arriving {
+            Some(light) => shaded.ambient(&light, &light, 1.0),
+            None => {
+                let open = self.sky.visibility(&surfel.point, &surfel.normal, turn);
+                shaded.ambient(&self.scene.sky, &self.scene.ground, 0.35 + 0.65 * open)
+            }
+        };
         for (light, shadow) in self.scene.lights.iter().zip(&self.shadows) {
             let to_light = light.position - surfel.point;
             let squared = to_light.norm_squared();

@@ -11,7 +11,6 @@ use rayon::prelude::*;
 use super::{
     Progress, Stage, Summary, SynthError, bop_lists,
     folder::{Layout, check, claim},
-    generate::pool_of,
     models::{ObjectCache, write_models},
     object::SynthObject,
     shard::{self, Image},
@@ -41,8 +40,8 @@ pub fn generate_bop(
     claim(config, out, Layout::Scenes)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, "synth", &mut cache, progress)?;
-    let objects = cache.get(&pool_of(config, 0), &|| {});
-    let infos = write_eval_models(out, &objects)?;
+    let stock = cache.stock(config, 0);
+    let infos = write_eval_models(out, &stock.objects)?;
     let split = out.join("test");
     let scenes = shard::scene_count(config, config.images);
     let (done, total) = (AtomicUsize::new(0), config.images);
@@ -53,7 +52,7 @@ pub fn generate_bop(
             let scene_id = k as u32 + 1;
             let mut images = 0;
             if !split.join(format!("{scene_id:06}/scene_camera.json")).is_file() {
-                let made = shard::images_of_scene(config, &objects, 0, k, config.images);
+                let made = shard::images_of_scene(config, &stock, 0, k, config.images);
                 images = made.len();
                 write_scene(&split, scene_id, made)?;
             }
@@ -62,13 +61,13 @@ pub fn generate_bop(
             Ok(images)
         })
         .collect();
-    let mut summary = Summary::default();
+    let mut summary = Summary { meshes_replaced: cache.replaced(), ..Summary::default() };
     for images in made {
         let images = images?;
         summary.images_written += images;
         *(if images > 0 { &mut summary.shards_written } else { &mut summary.shards_kept }) += 1;
     }
-    bop_lists::write_lists(config, out, &objects, &infos)?;
+    bop_lists::write_lists(config, out, &stock.objects, &infos)?;
     Ok(summary)
 }
 

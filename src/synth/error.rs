@@ -16,6 +16,10 @@ pub enum SynthError {
     NoMeshes { folder: PathBuf },
     #[error("{}: neither shards (shard-NNNNNN.tar, train_pbr_web/) nor BOP scenes (SPLIT/SSSSSS/scene_camera.json) found", folder.display())]
     NoDataset { folder: PathBuf },
+    #[error("{}: {faces} faces, expected at most {most}; simplify the mesh", path.display())]
+    LargeMesh { path: PathBuf, faces: usize, most: usize },
+    #[error("{}: no jpg or png files found", folder.display())]
+    NoPictures { folder: PathBuf },
     #[error("synth.{field} is {value}, expected {expected}")]
     Config { field: &'static str, value: String, expected: &'static str },
     #[error("{}: holds data of another configuration ({difference}); choose another folder, or allow overwriting", folder.display())]

@@ -68,6 +68,25 @@ pub(super) fn check(config: &SynthConfig) -> Result<(), SynthError> {
     if !(32..=8192).contains(&config.texture_size) {
         return error("texture_size", config.texture_size.to_string(), "32..8192 pixels");
     }
+    if config.indirect_rays > 1024 {
+        return error("indirect_rays", config.indirect_rays.to_string(), "0..1024");
+    }
+    let shares = [
+        ("textureless", config.textureless),
+        ("tumbling", config.tumbling),
+        ("bins", config.bins),
+        ("shelves", config.shelves),
+        ("bins + shelves", config.bins + config.shelves),
+        ("mesh_share", config.mesh_share),
+        ("sensor.stereo", config.sensor.stereo),
+        ("sensor.stereo + sensor.time_of_flight", config.sensor.stereo + config.sensor.time_of_flight),
+    ];
+    if let Some((field, share)) = shares.into_iter().find(|s| !(0.0..=1.0).contains(&s.1)) {
+        return error(field, share.to_string(), "0..1");
+    }
+    if !(config.mesh_scale.is_finite() && config.mesh_scale > 0.0) {
+        return error("mesh_scale", config.mesh_scale.to_string(), "a finite number above 0 (metres)");
+    }
     let ranges = [("diameter", config.diameter), ("camera.distance", config.camera.distance)];
     for (field, [low, high]) in ranges {
         if !(low > 0.0 && high >= low && high.is_finite()) {

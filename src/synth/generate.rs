@@ -44,6 +44,8 @@ pub struct Summary {
     /// Shards that were there already.
     pub shards_kept: usize,
     pub images_written: usize,
+    /// Procedural objects in place of mesh files that could not be used.
+    pub meshes_replaced: usize,
 }
 
 const SET_NAME: &str = "gso";
@@ -106,15 +108,16 @@ fn make_shards(
             report(images);
             continue;
         }
-        let objects = cache.get(&pool_of(config, shard), &|| {});
+        let stock = cache.stock(config, shard);
         let mut writer = ShardWriter::default();
-        for image in shard::encode_shard(config, &objects, shard, images, &report)? {
+        for image in shard::encode_shard(config, &stock, shard, images, &report)? {
             writer.push(image);
         }
         writer.write(&path)?;
         summary.shards_written += 1;
         summary.images_written += images;
     }
+    summary.meshes_replaced = cache.replaced();
     Ok(summary)
 }
 

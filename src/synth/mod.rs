@@ -3,13 +3,16 @@
 //! [`generate`] fills a folder with MegaPose-style shards. Every shard is a function of (configuration, shard number)
 //! alone: random numbers come from per-item streams, so neither threads nor interruptions change a byte.
 
+mod background;
 mod bop_lists;
 mod bop_set;
 mod check;
+mod collision;
 mod contact_sheet;
 mod error;
 mod folder;
 mod generate;
+mod mesh_folder;
 mod models;
 mod object;
 mod overlap;
@@ -18,6 +21,7 @@ mod physics;
 mod random;
 mod scene;
 mod sensor;
+mod setting;
 mod shapes;
 mod shard;
 mod texture;

@@ -10,7 +10,10 @@ use rayon::prelude::*;
 
 use super::{
     Progress, Stage, SynthError,
+    background::Backgrounds,
+    generate::pool_of,
     object::{ObjectLibrary, SynthObject},
+    scene::Stock,
 };
 use crate::{
     config::SynthConfig,
@@ -21,12 +24,35 @@ use crate::{
 /// The objects of the current pool; those of the next pool are taken over.
 pub(super) struct ObjectCache {
     library: ObjectLibrary,
+    backgrounds: Backgrounds,
     built: HashMap<u32, SynthObject>,
 }
 
+/// Distractors that the scenes of one shard draw from.
+const DISTRACTORS_PER_SHARD: usize = 16;
+
 impl ObjectCache {
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        Ok(Self { library: ObjectLibrary::new(config)?, built: HashMap::new() })
+        let (library, backgrounds) = (ObjectLibrary::new(config)?, Backgrounds::new(config)?);
+        Ok(Self { library, backgrounds, built: HashMap::new() })
+    }
+
+    /// How many objects had to be made up because their mesh file could not be used.
+    pub fn replaced(&self) -> usize {
+        self.library.replaced()
+    }
+
+    /// What the scenes of a shard are made of. Distractors have ids above those of the set's objects.
+    pub fn stock(&mut self, config: &SynthConfig, shard: u32) -> Stock {
+        let mut ids = pool_of(config, shard);
+        let own = ids.len();
+        if config.distractors[1] > 0 {
+            let first = config.objects + shard as usize * DISTRACTORS_PER_SHARD;
+            ids.extend((1..=DISTRACTORS_PER_SHARD).map(|k| (first + k) as u32));
+        }
+        let mut objects = self.get(&ids, &|| {});
+        let distractors = objects.split_off(own);
+        Stock { objects, distractors, backgrounds: self.backgrounds.clone() }
     }
 
     /// The objects in the order of `ids`; `done` is called after each one that had to be made.

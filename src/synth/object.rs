@@ -1,16 +1,18 @@
 //! The objects of a set: procedural ones and meshes from a folder.
 
 use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
+    collections::BTreeSet,
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
 };
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
-use parry3d::transformation::try_convex_hull;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
     SynthError,
+    collision::{collision_hull, convex_parts},
+    mesh_folder::MeshFolder,
     random::{Domain, Draw, stream},
     shapes::{self, Family, Symmetry},
     texture::{self, Look},
@@ -19,7 +21,7 @@ use crate::{
     config::SynthConfig,
     formats::{ModelInfo, ObjectSymmetries, SymmetryAxis},
     geometry::Pose,
-    mesh::{self, TriangleMesh},
+    mesh::TriangleMesh,
     render::Finish,
 };
 
@@ -33,14 +35,11 @@ pub struct SynthObject {
     pub finish: Finish,
     /// Symmetries that colour and shape share.
     pub symmetries: ObjectSymmetries,
-    /// Collision hull.
+    /// Convex hull.
     pub hull: Vec<Point3<f32>>,
+    /// Convex parts to collide with; empty where the hull is good enough.
+    pub parts: Vec<Vec<Point3<f32>>>,
 }
-
-/// Directions in which the collision hull touches the mesh at least.
-const HULL_DIRECTIONS: usize = 100;
-/// Vertices that stick out of the hull by more than this become part of it, metres.
-const HULL_TOLERANCE: f32 = 3e-4;
 
 impl SynthObject {
     fn new(
@@ -50,8 +49,9 @@ impl SynthObject {
         finish: Finish,
         symmetries: ObjectSymmetries,
     ) -> Self {
-        let hull = collision_hull(&mesh);
-        Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull }
+        let hull = collision_hull(&mesh.vertices);
+        let parts = convex_parts(&mesh, &hull);
+        Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull, parts }
     }
 
     pub fn info(&self) -> ModelInfo {
@@ -69,20 +69,14 @@ impl SynthObject {
 #[derive(Clone, Debug)]
 pub struct ObjectLibrary {
     config: SynthConfig,
-    files: Vec<PathBuf>,
+    folder: MeshFolder,
+    /// Ids of objects whose mesh file could not be used.
+    replaced: Arc<Mutex<BTreeSet<u32>>>,
 }
 
 impl ObjectLibrary {
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        let mut files = Vec::new();
-        if !config.mesh_folder.as_os_str().is_empty() {
-            collect_meshes(&config.mesh_folder, &mut files)?;
-            if files.is_empty() {
-                return Err(SynthError::NoMeshes { folder: config.mesh_folder.clone() });
-            }
-            files.sort();
-        }
-        Ok(Self { config: config.clone(), files })
+        Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, replaced: Arc::default() })
     }
 
     /// Object `obj_id` (1-based). A mesh file that cannot be used is reported and replaced by a procedural object.
@@ -90,12 +84,15 @@ impl ObjectLibrary {
         let mut shape_rng = stream(self.config.seed, Domain::Shape, obj_id.into());
         let [low, high] = self.config.diameter;
         let diameter = shape_rng.log_between(low, high);
-        if !self.files.is_empty() && shape_rng.chance(self.config.mesh_share) {
+        if !self.folder.is_empty() && shape_rng.chance(self.config.mesh_share) {
             // Every file is used before one comes again.
-            let file = &self.files[obj_id as usize % self.files.len()];
+            let file = self.folder.file(obj_id as usize);
             match self.load_file(obj_id, file, diameter) {
                 Ok(object) => return object,
-                Err(error) => tracing::warn!("object {obj_id}: {error}; a procedural object takes its place"),
+                Err(error) => {
+                    tracing::warn!("object {obj_id}: {error}; a procedural object takes its place");
+                    self.replaced.lock().unwrap_or_else(PoisonError::into_inner).insert(obj_id);
+                }
             }
         }
         self.procedural(obj_id, diameter, &mut shape_rng)
@@ -115,73 +112,16 @@ impl ObjectLibrary {
     }
 
     fn load_file(&self, obj_id: u32, file: &Path, diameter: f32) -> Result<SynthObject, SynthError> {
-        let mut mesh = mesh::load(file, self.config.mesh_scale)?;
-        mesh.center_on_bounds();
-        let own = mesh.diameter();
-        if !(0.02..=0.6).contains(&own) {
-            mesh.scale(diameter / own);
-        }
-        if mesh.texture.is_none() && mesh.colors.is_empty() {
-            mesh.colors = vec![[176; 3]; mesh.vertices.len()];
-        }
-        let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let mesh = self.folder.load(file, &self.config, diameter)?;
         let finish = Finish { roughness: 0.6, metallic: 0.0 };
-        Ok(SynthObject::new(obj_id, format!("{stem}_{obj_id:06}"), mesh, finish, ObjectSymmetries::default()))
+        let name = format!("{}_{obj_id:06}", self.folder.name(file));
+        Ok(SynthObject::new(obj_id, name, mesh, finish, ObjectSymmetries::default()))
     }
-}
 
-fn collect_meshes(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
-    let error = |source| SynthError::Io { path: folder.to_owned(), source };
-    for entry in std::fs::read_dir(folder).map_err(error)? {
-        let path = entry.map_err(error)?.path();
-        if path.is_dir() {
-            collect_meshes(&path, found)?;
-            continue;
-        }
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        if ["ply", "obj", "stl", "glb", "gltf"].contains(&extension.as_str()) {
-            found.push(path);
-        }
+    /// How many objects had to be made up because their mesh file could not be used.
+    pub fn replaced(&self) -> usize {
+        self.replaced.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
-    Ok(())
-}
-
-/// Convex hull that lies at most about [`HULL_TOLERANCE`] inside the mesh's own: vertices farthest out in evenly spread
-/// directions, then along the normals of the faces found so far.
-fn collision_hull(mesh: &TriangleMesh) -> Vec<Point3<f32>> {
-    let reach = |v: &[f32; 3], d: &Vector3<f32>| Vector3::from(*v).dot(d);
-    let farthest = |d: &Vector3<f32>| {
-        let by_reach = |a: &&[f32; 3], b: &&[f32; 3]| reach(a, d).total_cmp(&reach(b, d));
-        mesh.vertices.iter().max_by(by_reach).copied()
-    };
-    let mut points: Vec<[f32; 3]> = (0..HULL_DIRECTIONS)
-        .filter_map(|i| {
-            // Fibonacci sphere.
-            let z = 1.0 - (2.0 * i as f32 + 1.0) / HULL_DIRECTIONS as f32;
-            let (s, c) = (i as f32 * 2.399_963_2).sin_cos();
-            let r = (1.0 - z * z).sqrt();
-            farthest(&Vector3::new(r * c, r * s, z))
-        })
-        .collect();
-    for _ in 0..3 {
-        points.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-        points.dedup();
-        let cloud: Vec<Point3<f32>> = points.iter().map(|p| Point3::from(*p)).collect();
-        let Ok((corners, faces)) = try_convex_hull(&cloud) else { return cloud };
-        let before = points.len();
-        for face in faces {
-            let [a, b, c] = face.map(|i| corners[i as usize]);
-            let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { continue };
-            points.extend(
-                farthest(&normal).filter(|v| reach(v, &normal) > a.coords.dot(&normal) + HULL_TOLERANCE),
-            );
-        }
-        if points.len() == before {
-            return corners;
-        }
-    }
-    let cloud: Vec<Point3<f32>> = points.into_iter().map(Point3::from).collect();
-    try_convex_hull(&cloud).map_or(cloud, |(corners, _)| corners)
 }
 
 fn object_symmetries(symmetry: &Symmetry) -> ObjectSymmetries {

@@ -1,4 +1,4 @@
-//! Colour camera model: exposure, white balance, vignetting, blur, noise, shift against the depth image.
+//! Colour camera model: exposure, white balance, vignetting, tone curve, blur, noise, shift against the depth image.
 
 use image::{Rgb, RgbImage};
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +22,8 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
     let blur = enabled * scale * rng.between(0.0, config.blur);
     let limit = enabled * scale * config.misalignment;
     let shift = [rng.between(-limit, limit), rng.between(-limit, limit)];
+    let mut around_one = || 1.0 + enabled * rng.between(-config.tone, config.tone);
+    let (gamma, saturation) = (around_one(), around_one());
     let noise = enabled * config.color_noise * rng.between(0.4, 1.6) / 255.0;
     let mut linear: Vec<[f32; 3]> = view.radiance.clone();
     for (i, pixel) in linear.iter_mut().enumerate() {
@@ -35,8 +37,10 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
     let mut picture = RgbImage::new(w as u32, h as u32);
     let mut luminance = Vec::with_capacity(w * h);
     for (i, pixel) in linear.iter().enumerate() {
-        let coded = pixel.map(|c| {
-            let value = linear_to_srgb(c);
+        let toned = pixel.map(|c| linear_to_srgb(c).powf(gamma));
+        let grey = 0.299 * toned[0] + 0.587 * toned[1] + 0.114 * toned[2];
+        let coded = toned.map(|c| {
+            let value = (grey + (c - grey) * saturation).max(0.0);
             // Shot noise in the lights, read noise in the shadows.
             value + noise * (0.5 + value.sqrt()) * rng.normal()
         });

@@ -1,21 +1,24 @@
-//! Dropping objects on the table with rigid-body physics.
+//! Dropping objects on tables, into bins and on shelves with rigid-body physics.
 
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rand_chacha::ChaCha8Rng;
-use rapier3d::prelude::*;
+use rapier3d::{parry::query::contact, prelude::*};
 
-use super::{object::SynthObject, random::Draw};
+use super::{object::SynthObject, random::Draw, setting::Place};
 use crate::geometry::Pose;
 
 const STEP: f32 = 1.0 / 120.0;
 /// Longest simulated time, seconds.
 const LONGEST: f32 = 2.5;
+/// Objects are never deeper in each other, metres.
+const OVERLAP: f32 = 0.0015;
 
-/// Drops the objects; `None` for one that left the table or whose simulation failed.
+/// Drops the objects; `None` for one that left its place or whose simulation failed.
 ///
 /// With `tumbling` the simulation stops shortly after the first contacts, so that objects stand on edges and corners.
-pub(super) fn drop_on_table(
+pub(super) fn drop_objects(
     objects: &[&SynthObject],
+    place: &Place,
     tumbling: bool,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Option<Pose>> {
@@ -26,6 +29,9 @@ pub(super) fn drop_on_table(
     let ground =
         ColliderBuilder::cuboid(2.0, 2.0, 0.2).translation(Vector3::z() * (5e-4 - 0.2)).friction(0.9);
     colliders.insert(ground);
+    for (center, [x, y, z]) in place.walls() {
+        colliders.insert(ColliderBuilder::cuboid(x, y, z).translation(center).friction(0.5));
+    }
     let size = |o: &SynthObject| Vector3::from(o.mesh.bounds().size()).norm();
     let mean_size = objects.iter().map(|o| size(o)).sum::<f32>() / objects.len().max(1) as f32;
     let spread = mean_size * rng.between(0.25, 0.6) * (objects.len() as f32).sqrt();
@@ -35,12 +41,12 @@ pub(super) fn drop_on_table(
         .iter()
         .map(|object| {
             let radius = 0.5 * size(object);
-            let place = lowest_free_place(&taken, radius, spread, rng);
-            taken.push((place, radius));
+            let start = lowest_free_place(&taken, radius, spread, place.area(), rng);
+            taken.push((start, radius));
             let turn = rng.unit_vector() * rng.between(0.0, std::f32::consts::PI);
-            let collider = ColliderBuilder::convex_hull(&object.hull)?;
+            let collider = collider(object)?;
             let body = RigidBodyBuilder::dynamic()
-                .pose(Isometry3::new(place, turn))
+                .pose(Isometry3::new(start, turn))
                 .angvel(rng.unit_vector() * rng.between(0.0, 3.0))
                 .linear_damping(0.3)
                 .angular_damping(1.5);
@@ -57,12 +63,55 @@ pub(super) fn drop_on_table(
     let pose = |(object, handle): (&&SynthObject, &Option<RigidBodyHandle>)| {
         let isometry = bodies.get((*handle)?)?.position();
         let mut pose = to_pose(isometry, spread + 3.0 * mean_size)?;
+        let left = |[a, b]: [f32; 2]| {
+            let t = isometry.translation.vector;
+            t.x.abs() > a || t.y.abs() > b
+        };
+        if place.area().is_some_and(left) {
+            return None;
+        }
         // What the solver left inside the table, a few millimetres at most in a heap.
         let bottom = pose.translation.z + lowest(object, &pose.rotation);
         pose.translation.z -= bottom.min(0.0);
         Some(pose)
     };
-    objects.iter().zip(&handles).map(pose).collect()
+    let mut poses: Vec<Option<Pose>> = objects.iter().zip(&handles).map(pose).collect();
+    let shape = |handle: &Option<RigidBodyHandle>| {
+        let collider = *bodies.get((*handle)?)?.colliders().first()?;
+        Some(colliders.get(collider)?.shared_shape().clone())
+    };
+    let shapes: Vec<Option<SharedShape>> = handles.iter().map(shape).collect();
+    take_out_overlapping(&mut poses, &shapes);
+    poses
+}
+
+/// Takes away the upper one of two objects that the solver left in each other by more than [`OVERLAP`].
+fn take_out_overlapping(poses: &mut [Option<Pose>], shapes: &[Option<SharedShape>]) {
+    let isometry = |pose: &Pose| {
+        let rotation = UnitQuaternion::from_matrix(&pose.rotation.cast::<f32>());
+        Isometry3::from_parts(pose.translation.cast::<f32>().into(), rotation)
+    };
+    for i in 0..poses.len() {
+        for j in 0..i {
+            let (Some(a), Some(b)) = (&poses[i], &poses[j]) else { continue };
+            let (Some(shape_a), Some(shape_b)) = (&shapes[i], &shapes[j]) else { continue };
+            let met = contact(&isometry(a), &**shape_a, &isometry(b), &**shape_b, 0.0);
+            if met.is_ok_and(|c| c.is_some_and(|c| c.dist < -OVERLAP)) {
+                let upper = if a.translation.z > b.translation.z { i } else { j };
+                poses[upper] = None;
+            }
+        }
+    }
+}
+
+/// The hull, or the convex parts.
+fn collider(object: &SynthObject) -> Option<ColliderBuilder> {
+    if object.parts.is_empty() {
+        return ColliderBuilder::convex_hull(&object.hull);
+    }
+    let shapes = object.parts.iter().filter_map(|part| SharedShape::convex_hull(part));
+    let shapes: Vec<_> = shapes.map(|shape| (Isometry3::identity(), shape)).collect();
+    (!shapes.is_empty()).then(|| ColliderBuilder::compound(shapes))
 }
 
 /// The lowest of several random places within `spread` of the centre where a sphere touches no other.
@@ -70,13 +119,20 @@ fn lowest_free_place(
     taken: &[(Vector3<f32>, f32)],
     radius: f32,
     spread: f32,
+    area: Option<[f32; 2]>,
     rng: &mut ChaCha8Rng,
 ) -> Vector3<f32> {
     let mut lowest = Vector3::new(0.0, 0.0, f32::MAX);
     for _ in 0..6 {
         let angle = rng.between(0.0, std::f32::consts::TAU);
         let distance = spread * rng.between(0.0, 1.0).sqrt();
-        let (x, y) = (distance * angle.cos(), distance * angle.sin());
+        let (x, y) = match area {
+            None => (distance * angle.cos(), distance * angle.sin()),
+            Some(half) => {
+                let [a, b] = half.map(|h| (h - radius).max(0.0));
+                (rng.between(-a, a), rng.between(-b, b))
+            }
+        };
         let above = |(other, r): &(Vector3<f32>, f32)| {
             let (reach, flat) = (r + radius, (other.x - x).hypot(other.y - y));
             other.z + (reach * reach - flat * flat).max(0.0).sqrt()

@@ -1,45 +1,64 @@
 //! Scenes: which objects lie where, under which light, in which room, seen from where.
 
-use std::{f32::consts::TAU, sync::Arc};
+use std::f32::consts::{PI, TAU};
 
 use nalgebra::{Matrix3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use super::{object::SynthObject, physics, random::Draw, texture};
+use super::{background::Backgrounds, object::SynthObject, physics, random::Draw, setting::Place};
 use crate::{
     config::{SynthCameraConfig, SynthConfig},
     geometry::{Intrinsics, Pose},
-    render::{Camera, Finish, Light, Placed, Room, Scene, Surface},
+    render::{Camera, Light, Placed, Scene},
 };
+
+/// What the scenes of a shard are made of.
+pub(super) struct Stock {
+    /// Objects of the set.
+    pub objects: Vec<SynthObject>,
+    /// Objects that are not annotated.
+    pub distractors: Vec<SynthObject>,
+    pub backgrounds: Backgrounds,
+}
 
 /// A scene and the ids of its objects.
 pub(super) struct Arrangement {
+    /// Annotated objects first.
     pub scene: Scene,
-    /// One per object of the scene.
+    /// One per annotated object.
     pub obj_ids: Vec<u32>,
+    pub place: Place,
     /// Centre and radius of the pile.
     center: Vector3<f32>,
     radius: f32,
 }
 
-/// Draws a scene from the pool.
-pub(super) fn arrange(config: &SynthConfig, pool: &[SynthObject], rng: &mut ChaCha8Rng) -> Arrangement {
+/// Draws a scene.
+pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng) -> Arrangement {
     let [fewest, most] = config.objects_per_scene;
-    let count = rng.count(fewest.max(1), most.max(1)).min(pool.len());
-    let chosen = rand::seq::index::sample(rng, pool.len(), count);
-    let objects: Vec<&SynthObject> = chosen.iter().map(|i| &pool[i]).collect();
+    let count = rng.count(fewest.max(1), most.max(1)).min(stock.objects.len());
+    let mut objects = draw(&stock.objects, count, rng);
+    let others = rng.count(config.distractors[0], config.distractors[1]).min(stock.distractors.len());
+    objects.extend(draw(&stock.distractors, others, rng));
     let tumbling = rng.chance(config.tumbling);
-    let mut poses = physics::drop_on_table(&objects, tumbling, rng);
-    if poses.iter().flatten().count() < fewest.min(count) {
+    let sizes: Vec<f32> = objects.iter().map(|o| Vector3::from(o.mesh.bounds().size()).norm()).collect();
+    let mean = sizes.iter().sum::<f32>() / sizes.len().max(1) as f32;
+    let largest = sizes.iter().copied().fold(0.0, f32::max);
+    let mut place = Place::draw(config, objects.len(), mean, largest, rng);
+    let mut poses = physics::drop_objects(&objects, &place, tumbling, rng);
+    if poses.iter().take(count).flatten().count() < fewest.min(count) {
         tracing::debug!("a drop failed; objects are laid out side by side");
+        place = Place::Table;
         poses = physics::lay_out(&objects, rng);
     }
     let mut placed = Vec::new();
     let mut obj_ids = Vec::new();
-    for (object, pose) in objects.iter().zip(poses) {
+    for (i, (object, pose)) in objects.iter().zip(poses).enumerate() {
         if let Some(t_world_object) = pose {
             placed.push(Placed { mesh: object.mesh.clone(), finish: object.finish, t_world_object });
-            obj_ids.push(object.obj_id);
+            if i < count {
+                obj_ids.push(object.obj_id);
+            }
         }
     }
     let spots: Vec<(Vector3<f32>, f32)> = placed
@@ -48,18 +67,23 @@ pub(super) fn arrange(config: &SynthConfig, pool: &[SynthObject], rng: &mut ChaC
         .collect();
     let center = spots.iter().map(|s| s.0).sum::<Vector3<f32>>() / spots.len().max(1) as f32;
     let radius = spots.iter().map(|s| (s.0 - center).norm() + 0.7 * s.1).fold(0.05, f32::max);
-    let lights = lights(&center, rng);
+    let top = spots.iter().map(|s| s.0.z + s.1).fold(0.0, f32::max);
+    let lights = lights(&center, &place, rng);
     let tint = tint(rng, 0.12);
     let sky = rng.log_between(0.08, 0.6);
     let ground = sky * rng.between(0.25, 0.7);
     let scene = Scene {
         objects: placed,
-        room: room(rng),
+        room: place.room(top, &stock.backgrounds, rng),
         lights,
         sky: tint.map(|t| t * sky),
         ground: tint.map(|t| t * ground),
     };
-    Arrangement { scene, obj_ids, center, radius }
+    Arrangement { scene, obj_ids, place, center, radius }
+}
+
+fn draw<'a>(from: &'a [SynthObject], count: usize, rng: &mut ChaCha8Rng) -> Vec<&'a SynthObject> {
+    rand::seq::index::sample(rng, from.len(), count).iter().map(|i| &from[i]).collect()
 }
 
 /// Gains around 1 per channel.
@@ -68,11 +92,15 @@ fn tint(rng: &mut ChaCha8Rng, amount: f32) -> [f32; 3] {
     [1.0 + warm, 1.0 + 0.2 * rng.between(-amount, amount), 1.0 - warm]
 }
 
-fn lights(center: &Vector3<f32>, rng: &mut ChaCha8Rng) -> Vec<Light> {
+fn lights(center: &Vector3<f32>, place: &Place, rng: &mut ChaCha8Rng) -> Vec<Light> {
     let count = *rng.pick(&[1, 2, 2, 3, 3, 4]);
     (0..count)
         .map(|i| {
-            let (azimuth, height) = (rng.between(0.0, TAU), rng.between(0.35, 0.98));
+            let (azimuth, height) = match place {
+                // From the open side, below the upper board.
+                Place::Shelf { .. } => (rng.between(-0.8 * PI, -0.2 * PI), rng.between(0.1, 0.6)),
+                _ => (rng.between(0.0, TAU), rng.between(0.35, 0.98)),
+            };
             let flat = (1.0 - height * height).sqrt();
             let direction = Vector3::new(flat * azimuth.cos(), flat * azimuth.sin(), height);
             let strength = if i == 0 { rng.between(1.2, 3.0) } else { rng.between(0.2, 1.5) };
@@ -85,50 +113,32 @@ fn lights(center: &Vector3<f32>, rng: &mut ChaCha8Rng) -> Vec<Light> {
         .collect()
 }
 
-fn room(rng: &mut ChaCha8Rng) -> Room {
-    let mut surface = |pixels: u32, low: f32, high: f32, smooth: f32| {
-        let tile = rng.log_between(low, high);
-        let picture = Arc::new(texture::tile(pixels, tile, rng));
-        let roughness = rng.between(smooth, 1.0);
-        Surface { picture, tile, angle: rng.between(0.0, TAU), finish: Finish { roughness, metallic: 0.0 } }
-    };
-    let (table, floor, wall) =
-        (surface(320, 0.5, 1.2, 0.3), surface(128, 0.8, 2.0, 0.6), surface(128, 1.0, 3.0, 0.8));
-    Room {
-        table,
-        floor,
-        wall,
-        table_half: [rng.log_between(0.45, 1.4), rng.log_between(0.45, 1.4)],
-        table_angle: rng.between(0.0, TAU),
-        floor_drop: rng.between(0.4, 0.9),
-        half: rng.between(2.0, 4.0),
-        ceiling: rng.between(2.0, 2.6),
-    }
-}
-
 impl Arrangement {
     /// View `index` of `views`: azimuths are spread evenly with jitter.
     pub fn camera(&self, config: &SynthConfig, index: usize, views: usize, rng: &mut ChaCha8Rng) -> Camera {
         let camera = &config.camera;
         let [near, far] = camera.distance;
         let distance = rng.log_between(near, far).max(self.radius + 0.2);
+        let zone = self.place.views(camera.elevation_deg);
         // Evenly spread over the sphere's zone, not over the angle.
-        let [low, high] = camera.elevation_deg.map(|d| d.to_radians().sin());
+        let [low, high] = zone.elevation_deg.map(|d| d.to_radians().sin());
         let up = rng.between(low, high);
-        let azimuth = TAU * (index as f32 + rng.between(0.0, 1.0)) / views.max(1) as f32;
+        let turn = 2.0 * (index as f32 + rng.between(0.0, 1.0)) / views.max(1) as f32 - 1.0;
+        let azimuth = zone.azimuth[0] + zone.azimuth[1] * turn;
         let flat = (1.0 - up * up).sqrt();
         let offset = Vector3::new(flat * azimuth.cos(), flat * azimuth.sin(), up);
         // A third of the views look at one object instead of the whole pile.
         let (mut target, mut radius) = (self.center, self.radius);
-        if rng.chance(0.35) && !self.scene.objects.is_empty() {
-            let object = rng.pick(&self.scene.objects);
+        if rng.chance(0.35) && !self.obj_ids.is_empty() {
+            let object = rng.pick(&self.scene.objects[..self.obj_ids.len()]);
             let spot: Vector3<f32> = object.t_world_object.translation.cast();
             target = spot.lerp(&self.center, 0.3);
             radius = (0.6 * radius).max(0.08);
         }
         target += rng.unit_vector() * (0.2 * radius);
         let mut position = target + offset * distance;
-        position.z = position.z.max(0.05);
+        position.z = position.z.max(zone.lowest);
+        position.y = zone.front.map_or(position.y, |y| position.y.min(y));
         let roll = if rng.chance(0.1) { rng.between(0.0, 360.0) } else { camera.roll_deg * rng.normal() };
         let t_camera_world = look_at(&position, &target, roll.to_radians());
         let intrinsics = intrinsics(config, camera, radius, (position - target).norm(), rng);

@@ -4,11 +4,9 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 use super::{
-    SynthError,
-    object::SynthObject,
-    photograph,
+    SynthError, photograph,
     random::{Domain, Draw, stream},
-    scene::{self, Arrangement},
+    scene::{self, Arrangement, Stock},
     sensor::DepthSensor,
 };
 use crate::{
@@ -44,7 +42,7 @@ pub(super) fn scene_count(config: &SynthConfig, images: usize) -> usize {
 /// Encoded images of a shard; `done` is called after every finished scene with its number of images.
 pub(super) fn encode_shard(
     config: &SynthConfig,
-    pool: &[SynthObject],
+    stock: &Stock,
     shard: u32,
     images: usize,
     done: &(dyn Fn(usize) + Sync),
@@ -52,7 +50,7 @@ pub(super) fn encode_shard(
     let scenes: Vec<Result<Vec<EncodedImage>, SynthError>> = (0..scene_count(config, images))
         .into_par_iter()
         .map(|k| {
-            let made = images_of_scene(config, pool, shard, k, images);
+            let made = images_of_scene(config, stock, shard, k, images);
             let encoded = made
                 .iter()
                 .map(|i| Ok(EncodedImage::new(&i.key, &i.rgb, i.jpeg_quality, &i.depth, &i.records)?))
@@ -71,7 +69,7 @@ pub(super) fn encode_shard(
 /// The images of scene `k` of a shard.
 pub(super) fn images_of_scene(
     config: &SynthConfig,
-    pool: &[SynthObject],
+    stock: &Stock,
     shard: u32,
     k: usize,
     images: usize,
@@ -80,9 +78,9 @@ pub(super) fn images_of_scene(
     let full_shard = scene_count(config, config.images_per_shard) as u64;
     let number = u64::from(shard) * full_shard + k as u64;
     let mut rng = stream(config.seed, Domain::Scene, number);
-    let arrangement = scene::arrange(config, pool, &mut rng);
+    let arrangement = scene::arrange(config, stock, &mut rng);
     let sensor = DepthSensor::draw(&config.sensor, &mut stream(config.seed, Domain::Sensor, number));
-    let renderer = SceneRenderer::new(&arrangement.scene);
+    let renderer = SceneRenderer::new(&arrangement.scene).with_indirect_rays(config.indirect_rays);
     let first = k * views;
     (first..images.min(first + views))
         .map(|image| {
@@ -101,7 +99,11 @@ pub(super) fn images_of_scene(
                 ),
                 false => rendering.depth.clone(),
             };
-            let instances = instance_views(&arrangement.scene.objects, &camera, &rendering.ids);
+            let instances = instance_views(
+                &arrangement.scene.objects[..arrangement.obj_ids.len()],
+                &camera,
+                &rendering.ids,
+            );
             let records = records(&arrangement, &camera, &instances, &depth);
             let [low, high] = config.sensor.jpeg_quality.map(usize::from);
             let jpeg_quality = rng.count(low, high).clamp(1, 100) as u8;

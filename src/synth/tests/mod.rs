@@ -1,13 +1,12 @@
+mod scenes;
 mod sets;
 
 use nalgebra::{Point3, Vector3};
 use parry3d::{query::RayCast, shape::TriMesh};
 
 use super::{
-    generate::pool_of,
-    object::{ObjectLibrary, SynthObject},
     random::{Domain, stream},
-    scene::{self, Arrangement},
+    scene::{self, Arrangement, Stock},
     *,
 };
 use crate::{
@@ -31,17 +30,16 @@ fn small() -> SynthConfig {
     }
 }
 
-fn pool(config: &SynthConfig) -> Vec<SynthObject> {
-    let library = ObjectLibrary::new(config).unwrap();
-    pool_of(config, 0).into_iter().map(|id| library.build(id)).collect()
+fn stock(config: &SynthConfig) -> Stock {
+    models::ObjectCache::new(config).unwrap().stock(config, 0)
 }
 
 /// A few scenes with one view each.
-fn views(config: &SynthConfig, pool: &[SynthObject], count: u64) -> Vec<(Arrangement, Camera)> {
+fn views(config: &SynthConfig, stock: &Stock, count: u64) -> Vec<(Arrangement, Camera)> {
     (0..count)
         .map(|k| {
             let mut rng = stream(config.seed, Domain::Scene, k);
-            let arrangement = scene::arrange(config, pool, &mut rng);
+            let arrangement = scene::arrange(config, stock, &mut rng);
             let camera = arrangement.camera(config, k as usize, count as usize, &mut rng);
             (arrangement, camera)
         })
@@ -51,9 +49,9 @@ fn views(config: &SynthConfig, pool: &[SynthObject], count: u64) -> Vec<(Arrange
 #[test]
 fn depth_inside_visible_masks_is_where_an_independent_ray_meets_the_mesh() {
     let config = SynthConfig { width: 320, height: 240, ..small() };
-    let pool = pool(&config);
+    let stock = stock(&config);
     let (mut checked, mut off, mut worst) = (0, 0, 0f32);
-    for (arrangement, camera) in views(&config, &pool, 4) {
+    for (arrangement, camera) in views(&config, &stock, 4) {
         let scene = &arrangement.scene;
         let view = SceneRenderer::new(scene).render(&camera, 1);
         let meshes: Vec<TriMesh> = scene
@@ -90,8 +88,8 @@ fn depth_inside_visible_masks_is_where_an_independent_ray_meets_the_mesh() {
 #[test]
 fn vertices_project_into_the_silhouette_and_visibility_follows_from_the_masks() {
     let config = small();
-    let pool = pool(&config);
-    for (arrangement, camera) in views(&config, &pool, 4) {
+    let stock = stock(&config);
+    for (arrangement, camera) in views(&config, &stock, 4) {
         let scene = &arrangement.scene;
         let view = SceneRenderer::new(scene).render(&camera, 1);
         for (object, instance) in scene.objects.iter().zip(instance_views(&scene.objects, &camera, &view.ids))
@@ -139,30 +137,6 @@ fn vertices_project_into_the_silhouette_and_visibility_follows_from_the_masks() 
 }
 
 #[test]
-fn settled_objects_rest_on_the_table() {
-    let config = SynthConfig { tumbling: 0.0, ..small() };
-    let pool = pool(&config);
-    let (mut objects, mut deep, mut floating) = (0, 0, 0);
-    for (arrangement, _) in views(&config, &pool, 6) {
-        let lowest: Vec<f64> = arrangement
-            .scene
-            .objects
-            .iter()
-            .map(|o| {
-                let height = |v: &[f32; 3]| f64::from(o.t_world_object.transform_f32(v)[2]);
-                o.mesh.vertices.iter().map(height).fold(f64::MAX, f64::min)
-            })
-            .collect();
-        objects += lowest.len();
-        deep += lowest.iter().filter(|z| **z < -0.002).count();
-        // Some lie on others, but not all.
-        floating += usize::from(lowest.iter().all(|z| *z > 0.003));
-    }
-    assert!(objects > 15, "{objects}");
-    assert_eq!((deep, floating), (0, 0), "of {objects} objects in 6 scenes");
-}
-
-#[test]
 fn collision_hulls_enclose_their_meshes() {
     let config = SynthConfig { texture_size: 32, ..small() };
     let library = ObjectLibrary::new(&config).unwrap();
@@ -180,4 +154,34 @@ fn collision_hulls_enclose_their_meshes() {
             assert!(mesh - hull < 0.0015, "{}: {} mm outside", object.name, (mesh - hull) * 1000.0);
         }
     }
+}
+
+#[test]
+fn gathered_light_darkens_what_is_enclosed_and_keeps_open_ground() {
+    let config = SynthConfig { distractors: [0, 0], bins: 0.0, shelves: 0.0, tumbling: 0.0, ..small() };
+    let stock = stock(&config);
+    let (arrangement, camera) = views(&config, &stock, 1).remove(0);
+    let mut scene = arrangement.scene;
+    scene.lights.clear();
+    (scene.sky, scene.ground) = ([1.0; 3], [1.0; 3]);
+    let view = SceneRenderer::new(&scene).with_indirect_rays(48).render(&camera, 1);
+    // White surroundings of radiance 1 everywhere: what is open sends back its own reflectance, nothing sends more.
+    let ratios: Vec<(f32, bool)> = (0..view.ids.len())
+        .filter(|&i| view.ids[i] == 0 && view.albedo[i] > 0.02 && view.depth.data[i] < 2.0)
+        .map(|i| {
+            let [r, g, b] = view.radiance[i];
+            let near = (0..view.ids.len()).any(|k| {
+                let (dx, dy) = ((k % 160).abs_diff(i % 160), (k / 160).abs_diff(i / 160));
+                view.ids[k] > 0 && dx.max(dy) < 2
+            });
+            ((0.2126 * r + 0.7152 * g + 0.0722 * b) / (view.albedo[i] + 0.04), near)
+        })
+        .collect();
+    let mean = |near: bool| {
+        let of: Vec<f32> = ratios.iter().filter(|r| r.1 == near).map(|r| r.0).collect();
+        of.iter().sum::<f32>() / of.len() as f32
+    };
+    let (open, contact) = (mean(false), mean(true));
+    assert!((0.8..1.3).contains(&open), "open table: {open}");
+    assert!(contact < 0.85 * open, "beside objects {contact}, open {open}");
 }

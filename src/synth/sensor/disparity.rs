@@ -1,39 +1,42 @@
-//! Depth camera model: a structured-light or stereo sensor that measures disparity.
+//! Structured light and stereo: a matched pattern or picture, two viewpoints.
 //!
-//! Axial noise is disparity noise, so it grows with z^2 (Khoshelham & Elberink 2012, sigma_z = m sigma_d z^2; Nguyen,
-//! Izadi & Lovell 2012 measure 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 for the Kinect); disparity is quantised to a fraction
-//! of a pixel (1/8 px, Khoshelham & Elberink); edges move by about a pixel (lateral noise 0.8 px, Nguyen et al.); holes
-//! appear where the second view is occluded, at grazing angles, on dark and shiny surfaces (Handa et al. 2014; Barron &
-//! Malik 2013 for the correlated noise).
+//! Axial noise is disparity noise, so it grows with z² (Khoshelham & Elberink 2012, sigma_z = m sigma_d z²; Nguyen,
+//! Izadi & Lovell 2012 measure 1.2 mm + 1.9 mm/m² (z - 0.4 m)² for the Kinect; Keselman et al. 2017 0.05 to 0.1 px for
+//! the RealSense). Disparity is quantised, 1/8 px in the Kinect (Khoshelham & Elberink), 1/32 px in the RealSense
+//! (Keselman et al.). Edges move by about a pixel (lateral noise 0.8 px, Nguyen et al.); block matching makes the
+//! foreground wider. Holes appear where the second view is occluded, at grazing angles, on dark and shiny surfaces
+//! (Handa et al. 2014), for stereo also where nothing can be matched.
 
 use rand_chacha::ChaCha8Rng;
 
-use super::random::Draw;
-use crate::{config::SensorConfig, frame::DepthMap, render::Rendering};
+use super::{
+    DepthSensor, REFERENCE_WIDTH, Style,
+    field::{correlated, normal_cdf},
+    reflection_loss,
+};
+use crate::{config::SensorConfig, frame::DepthMap, render::Rendering, synth::random::Draw};
 
-/// Width that pixel lengths in [`SensorConfig`] refer to.
-const REFERENCE_WIDTH: f32 = 640.0;
+/// What tells stereo from structured light: gains of the three noise terms, of the disparity steps and of the edges'
+/// displacement.
+struct Matcher {
+    noise: [f32; 3],
+    steps: f32,
+    edges: f32,
+    /// The nearer surface wins along edges.
+    fattens: bool,
+}
 
-/// What stays the same over the views of a scene.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct DepthSensor {
-    baseline: f32,
-    gain: f32,
-    /// +1: the second camera is to the right.
-    side: f32,
+impl Matcher {
+    fn of(style: Style) -> Self {
+        match style {
+            Style::Stereo => Self { noise: [0.35, 1.5, 1.0], steps: 4.0, edges: 1.3, fattens: true },
+            _ => Self { noise: [1.0; 3], steps: 1.0, edges: 1.0, fattens: false },
+        }
+    }
 }
 
 impl DepthSensor {
-    pub fn draw(config: &SensorConfig, rng: &mut ChaCha8Rng) -> Self {
-        Self {
-            baseline: rng.between(config.baseline[0], config.baseline[1]),
-            gain: rng.log_between(config.noise_gain[0], config.noise_gain[1]),
-            side: if rng.chance(0.5) { 1.0 } else { -1.0 },
-        }
-    }
-
-    /// Measured depth, 0 where nothing was measured. `focal` in pixels; `brightness` is the image's luminance 0..1.
-    pub fn measure(
+    pub(super) fn measure_disparity(
         &self,
         view: &Rendering,
         focal: f32,
@@ -43,11 +46,13 @@ impl DepthSensor {
     ) -> DepthMap {
         let exact = &view.depth;
         let (w, h) = (exact.width as usize, exact.height as usize);
+        let matcher = Matcher::of(self.style);
         // Pixels of this image per reference pixel.
         let scale = w as f32 / REFERENCE_WIDTH;
         let mut field = |length: f32| correlated(w, h, length * scale, rng);
         let [fine, medium, coarse] = [field(2.0), field(5.0), field(30.0)];
-        let (shift_x, shift_y, hole_blob, edge_blob) = (field(8.0), field(8.0), field(5.0), field(4.0));
+        let (shift_x, shift_y, hole_blob, edge_blob) =
+            (field(8.0), field(8.0), field(self.hole_length), field(4.0));
         let focal_baseline = focal * self.baseline;
         let disparity = |z: f32| focal_baseline / z;
         let hidden = self.occluded(exact, focal_baseline);
@@ -55,7 +60,7 @@ impl DepthSensor {
         for row in 0..h {
             for col in 0..w {
                 let i = row * w + col;
-                let jitter = config.edge_jitter * scale;
+                let jitter = config.edge_jitter * matcher.edges * scale;
                 let (dx, dy) = (shift_x[i] * jitter, shift_y[i] * jitter);
                 let at = |x: f32, y: f32| {
                     let c = (col as f32 + x).round().clamp(0.0, (w - 1) as f32) as usize;
@@ -66,16 +71,16 @@ impl DepthSensor {
                 let moved = exact.data[at(dx, dy)];
                 // Only edges move; along a smooth surface the sensor sees its own point.
                 let jump = |z: f32| (disparity(z) - disparity(own)).abs() > 0.7 * scale.max(0.4);
-                let mut z = if jump(moved) { moved } else { own };
+                let mut z = if jump(moved) && (!matcher.fattens || moved < own) { moved } else { own };
                 let reach = (2.5 * scale).max(1.0);
                 let beside = [(reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach)]
                     .map(|(x, y)| exact.data[at(x, y)])
                     .into_iter()
                     .find(|&n| jump(n));
                 let (dice, mix) = (rng.between(0.0, 1.0), rng.between(0.0, 1.0));
-                let mut loss = 0.0f32;
+                let mut loss = reflection_loss(view, i, brightness[i], config);
                 if let Some(other) = beside {
-                    loss = config.edge_loss;
+                    loss = loss.max(config.edge_loss);
                     if mix < config.flying {
                         z = own + (other - own) * dice;
                     }
@@ -84,27 +89,26 @@ impl DepthSensor {
                 if incidence < config.grazing_cos {
                     loss = loss.max(1.0 - incidence / config.grazing_cos);
                 }
-                if view.albedo[i] < 0.03 || brightness[i] < 0.04 {
-                    loss = loss.max(config.dark_loss);
-                }
-                let finish = &view.finish[i];
-                let mirror = (1.0 - finish.roughness) * (0.4 + 0.6 * finish.metallic);
-                if brightness[i] > 0.97 || mirror * incidence > 0.45 {
-                    loss = loss.max(config.shiny_loss);
-                }
+                // A window without contrast: more noise, sometimes no match.
+                let blank = match matcher.fattens {
+                    true => flatness(brightness, w, h, row, col),
+                    false => 0.0,
+                };
+                loss = loss.max(0.25 * blank);
                 // Holes come in blobs: a smooth field decides most of them.
                 let blob = if beside.is_some() { edge_blob[i] } else { hole_blob[i] };
-                let rank = normal_cdf(blob) * 0.75 + mix * 0.25;
+                let rank = normal_cdf(blob) * (1.0 - self.hole_grain) + mix * self.hole_grain;
                 let lost = rank < loss || dice < config.speckle_loss || hidden[at(dx, dy)];
                 let in_range = z > config.range[0] && z < config.range[1];
                 if lost || !in_range {
                     continue;
                 }
                 let [a, b, c] = config.disparity_noise;
-                let noise = self.gain * scale * (a * fine[i] + b * medium[i] + c * coarse[i]);
-                let mut d = disparity(z) + noise;
+                let [ga, gb, gc] = matcher.noise;
+                let sum = ga * a * fine[i] + gb * b * medium[i] + gc * c * coarse[i];
+                let mut d = disparity(z) + self.gain * scale * (1.0 + blank) * sum;
                 if config.disparity_steps > 0.0 {
-                    let steps = config.disparity_steps / scale;
+                    let steps = config.disparity_steps * matcher.steps / scale;
                     // Dithered by the sub-pixel interpolation of the matcher, so steps are not sharp.
                     d = ((d * steps) + 0.5 * (rng.between(0.0, 1.0) - 0.5)).round() / steps;
                 }
@@ -138,31 +142,12 @@ impl DepthSensor {
     }
 }
 
-/// Smooth noise of unit variance, correlated over about `length` pixels.
-fn correlated(w: usize, h: usize, length: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    let spacing = length.max(1.0);
-    let (cols, rows) = ((w as f32 / spacing) as usize + 3, (h as f32 / spacing) as usize + 3);
-    let lattice: Vec<f32> = (0..cols * rows).map(|_| rng.normal()).collect();
-    let mut field = Vec::with_capacity(w * h);
-    for row in 0..h {
-        let y = row as f32 / spacing;
-        let (r, fy) = (y as usize, y.fract());
-        for col in 0..w {
-            let x = col as f32 / spacing;
-            let (c, fx) = (x as usize, x.fract());
-            let at = |dr: usize, dc: usize| lattice[(r + dr) * cols + c + dc];
-            let (wx, wy) = ([1.0 - fx, fx], [1.0 - fy, fy]);
-            let sum =
-                wy[0] * (wx[0] * at(0, 0) + wx[1] * at(0, 1)) + wy[1] * (wx[0] * at(1, 0) + wx[1] * at(1, 1));
-            // Interpolation shrinks the variance by the sum of squared weights.
-            let variance = (wx[0] * wx[0] + wx[1] * wx[1]) * (wy[0] * wy[0] + wy[1] * wy[1]);
-            field.push(sum / variance.sqrt());
-        }
-    }
-    field
-}
-
-/// Distribution function of the standard normal (logistic approximation, error below 0.01).
-fn normal_cdf(x: f32) -> f32 {
-    1.0 / (1.0 + (-1.702 * x).exp())
+/// 1 where the picture does not change within a few pixels, 0 where it changes by 3 % or more.
+fn flatness(brightness: &[f32], w: usize, h: usize, row: usize, col: usize) -> f32 {
+    let at = |r: usize, c: usize| brightness[r.min(h - 1) * w + c.min(w - 1)];
+    let here = at(row, col);
+    let steps =
+        [at(row, col + 3), at(row + 3, col), at(row, col.saturating_sub(3)), at(row.saturating_sub(3), col)];
+    let change = steps.into_iter().map(|b| (b - here).abs()).fold(0.0, f32::max);
+    (1.0 - change / 0.03).max(0.0)
 }
