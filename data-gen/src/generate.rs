@@ -1,24 +1,35 @@
 //! `unogen` without a subcommand: making a set.
 
-use std::{ops::Range, path::PathBuf, sync::Mutex};
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+    sync::Mutex,
+};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use unopose::{
-    config::SynthConfig,
-    formats::megapose::ShardDataset,
+    config::{Config, SynthCameraConfig, SynthConfig},
+    formats::{BopDataset, megapose::ShardDataset},
     synth::{self, Progress, Stage},
 };
 
 #[derive(clap::Args)]
 #[group(id = "generate")]
 pub struct Arguments {
-    /// Amount of data: tiny 200 images of 32 objects, small 5000 of 400, full 1 million of 20000 at 640 x 480.
+    /// Amount of data: tiny 200 images of 32 objects, small 5000 of 400, full 1 million of 20000 at 640 x 480; objects
+    /// of 3 to 40 cm, 3 to 12 in a scene, seen from 0.4 to 2 m.
     #[arg(long, value_enum, default_value_t = Preset::Small)]
     preset: Preset,
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
+    /// A configuration file whose [synth] part is used instead of a preset.
+    #[arg(long, conflicts_with = "preset")]
+    config: Option<PathBuf>,
+    /// Any field of the [synth] part, for example camera.distance=[0.5,1.0], bins=0.5 or mesh_size=megapose.
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    #[arg(long)]
+    seed: Option<u64>,
     /// Folder to fill.
     #[arg(long)]
     out: PathBuf,
@@ -28,12 +39,13 @@ pub struct Arguments {
     /// Number of images instead of the preset's.
     #[arg(long)]
     images: Option<usize>,
-    /// A number of procedural objects, or a folder of meshes (ply, obj, stl, glb) to use besides them.
+    /// A number of procedural objects, or a folder of meshes (ply, obj, stl, glb; Google Scanned Objects; ShapeNet) to
+    /// use besides them.
     #[arg(long)]
     objects: Option<String>,
-    /// Unit of the meshes in metres.
-    #[arg(long, default_value_t = 1.0)]
-    mesh_scale: f32,
+    /// Unit of the meshes in metres, 0.001 for millimetres.
+    #[arg(long)]
+    mesh_scale: Option<f32>,
     /// Image size.
     #[arg(long)]
     width: Option<u32>,
@@ -71,39 +83,43 @@ fn parse_range(text: &str) -> Result<Range<u32>, String> {
 }
 
 fn configuration(arguments: &Arguments) -> Result<SynthConfig> {
-    let default = SynthConfig { seed: arguments.seed, ..SynthConfig::default() };
-    let mut config = match arguments.preset {
-        Preset::Tiny => SynthConfig { images: 200, objects: 32, ..default },
-        Preset::Small => SynthConfig { images: 5000, objects: 400, images_per_shard: 250, ..default },
-        Preset::Full => SynthConfig {
+    let camera = SynthCameraConfig { distance: [0.4, 2.0], ..SynthCameraConfig::default() };
+    let wide =
+        SynthConfig { diameter: [0.03, 0.4], objects_per_scene: [3, 12], camera, ..SynthConfig::default() };
+    let mut config = match (&arguments.config, arguments.preset) {
+        (Some(file), _) => Config::load(file, &[])?.synth,
+        (None, Preset::Tiny) => SynthConfig { images: 200, objects: 32, ..wide },
+        (None, Preset::Small) => SynthConfig { images: 5000, objects: 400, images_per_shard: 250, ..wide },
+        (None, Preset::Full) => SynthConfig {
             images: 1_000_000,
             objects: 20_000,
             images_per_shard: 1000,
             width: 640,
             height: 480,
             texture_size: 512,
-            ..default
+            ..wide
         },
     };
+    config.seed = arguments.seed.unwrap_or(config.seed);
     config.images = arguments.images.unwrap_or(config.images);
     config.width = arguments.width.unwrap_or(config.width);
     config.height = arguments.height.unwrap_or(config.height);
+    config.mesh_scale = arguments.mesh_scale.unwrap_or(config.mesh_scale);
     if let Some(objects) = &arguments.objects {
         match objects.parse() {
             Ok(count) => config.objects = count,
-            Err(_) if PathBuf::from(objects).is_dir() => {
-                config.mesh_folder = objects.into();
-                config.mesh_scale = arguments.mesh_scale;
-            }
+            Err(_) if PathBuf::from(objects).is_dir() => config.mesh_folder = objects.into(),
             Err(_) => bail!("--objects {objects}: neither a number nor a folder"),
         }
     }
-    Ok(config)
+    let tree = Config { synth: config, ..Config::default() };
+    let fields: Vec<String> = arguments.set.iter().map(|field| format!("synth.{field}")).collect();
+    Ok(Config::from_toml(&tree.to_toml()?, Path::new("--set"), &fields)?.synth)
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    if arguments.format == Format::Bop && (arguments.shards.is_some() || arguments.contact_sheet.is_some()) {
-        bail!("--shards and --contact-sheet belong to --format megapose");
+    if arguments.format == Format::Bop && arguments.shards.is_some() {
+        bail!("--shards belongs to --format megapose");
     }
     if arguments.overwrite && arguments.shards.is_some() {
         bail!("--overwrite would remove the shards of other machines; leave out --shards");
@@ -129,12 +145,32 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         summary.shards_written,
         summary.shards_kept,
     );
+    if summary.meshes_replaced > 0 {
+        println!(
+            "{} mesh files could not be used (see the warnings); procedural objects took their place",
+            summary.meshes_replaced
+        );
+    }
     if let Some(file) = &arguments.contact_sheet {
-        let dataset = ShardDataset::open(&arguments.out)?;
-        synth::contact_sheet(&dataset, file, 3, 6, false)?;
+        draw_samples(arguments, file)?;
         println!("contact sheet: {}", file.display());
     }
     Ok(())
+}
+
+fn draw_samples(arguments: &Arguments, file: &Path) -> Result<()> {
+    const SHAPE: [u32; 2] = [3, 6];
+    if arguments.format == Format::Megapose {
+        let dataset = ShardDataset::open(&arguments.out)?;
+        let load = |i: usize| dataset.load(i as u32);
+        return Ok(synth::contact_sheet(dataset.image_keys().len(), &load, file, SHAPE)?);
+    }
+    let split = BopDataset::open(&arguments.out)?.test_split()?;
+    let mut images = Vec::new();
+    for &scene in split.scene_ids() {
+        images.extend(split.scene(scene)?.image_ids().map(|image| (scene, image)));
+    }
+    Ok(synth::contact_sheet(images.len(), &|i| split.load(images[i].0, images[i].1), file, SHAPE)?)
 }
 
 /// One progress bar per stage, fed from several threads.

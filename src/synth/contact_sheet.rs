@@ -7,7 +7,7 @@ use nalgebra::Point3;
 
 use super::SynthError;
 use crate::{
-    formats::{AnnotatedFrame, image_io::write_rgb, megapose::ShardDataset},
+    formats::{AnnotatedFrame, FormatError, image_io::write_rgb},
     frame::Mask,
 };
 
@@ -23,20 +23,17 @@ const COLORS: [[u8; 3]; 8] = [
     [190, 130, 255],
 ];
 
-/// Writes `rows` x `columns` images spread over the set; `plain` leaves out the outlines and axes.
+/// Writes `columns` x `rows` of a set's `count` images, spread over the set.
 pub fn contact_sheet(
-    dataset: &ShardDataset,
+    count: usize,
+    load: &dyn Fn(usize) -> Result<AnnotatedFrame, FormatError>,
     file: &Path,
-    columns: u32,
-    rows: u32,
-    plain: bool,
+    [columns, rows]: [u32; 2],
 ) -> Result<(), SynthError> {
-    let (count, total) = (columns * rows, dataset.image_keys().len() as u32);
+    let shown = (columns * rows).min(count as u32);
     let mut sheet = RgbImage::new(1, 1);
-    for k in 0..count.min(total) {
-        let annotated =
-            dataset.load((u64::from(k) * u64::from(total) / u64::from(count.min(total))) as u32)?;
-        let tile = tile(&annotated, plain);
+    for k in 0..shown {
+        let tile = tile(&load(k as usize * count / shown as usize)?);
         if k == 0 {
             sheet = RgbImage::new(tile.width() * columns, tile.height() * rows);
         }
@@ -47,23 +44,21 @@ pub fn contact_sheet(
 }
 
 /// Colour beside depth.
-fn tile(annotated: &AnnotatedFrame, plain: bool) -> RgbImage {
+fn tile(annotated: &AnnotatedFrame) -> RgbImage {
     let frame = &annotated.frame;
     let mut rgb = frame.rgb.clone();
-    if !plain {
-        for (i, instance) in annotated.instances.iter().enumerate() {
-            outline(&mut rgb, &instance.mask_visib, COLORS[i % COLORS.len()]);
-        }
-        for instance in annotated.instances.iter().filter(|i| i.visib_fract > 0.1) {
-            for axis in 0..3 {
-                for step in 0..60 {
-                    let mut p = Point3::origin();
-                    p[axis] = 0.04 * f64::from(step) / 60.0;
-                    let mut color = [0; 3];
-                    color[axis] = 255;
-                    if let Some(uv) = frame.intrinsics.project(&instance.t_camera_object.transform(&p)) {
-                        put(&mut rgb, uv.x.round() as i64, uv.y.round() as i64, color);
-                    }
+    for (i, instance) in annotated.instances.iter().enumerate() {
+        outline(&mut rgb, &instance.mask_visib, COLORS[i % COLORS.len()]);
+    }
+    for instance in annotated.instances.iter().filter(|i| i.visib_fract > 0.1) {
+        for axis in 0..3 {
+            for step in 0..60 {
+                let mut p = Point3::origin();
+                p[axis] = 0.04 * f64::from(step) / 60.0;
+                let mut color = [0; 3];
+                color[axis] = 255;
+                if let Some(uv) = frame.intrinsics.project(&instance.t_camera_object.transform(&p)) {
+                    put(&mut rgb, uv.x.round() as i64, uv.y.round() as i64, color);
                 }
             }
         }
