@@ -39,7 +39,7 @@ fn fine(config: &ModelConfig) -> BlockOutput {
         features: random(30 + k as u64, [1, DENSE[k], config.color.out_dim()]),
         position: random(40 + k as u64, [1, DENSE[k], width]),
         sparse_rows: Tensor::<1, Int>::from_data(
-            TensorData::new((1..=SPARSE[k] as i32).collect::<Vec<_>>(), [SPARSE[k]]),
+            TensorData::new((0..=SPARSE[k] as i32).collect::<Vec<_>>(), [SPARSE[k] + 1]),
             &Device::flex(),
         ),
         embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
