@@ -28,6 +28,7 @@
 //! # }
 //! ```
 
+pub mod bench;
 pub mod checkpoint;
 pub mod config;
 pub mod data;
@@ -40,6 +41,7 @@ pub mod infer;
 pub mod loss;
 pub mod mesh;
 pub mod model;
+pub mod registration;
 pub mod render;
 pub mod report;
 pub mod synth;

@@ -198,7 +198,7 @@ fn bad_checkpoints_and_options_are_named() {
 
     let output = files.estimate(&[], &["--refine", "magic"]);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!output.status.success() && text.contains("expected none or icp"), "{text}");
+    assert!(!output.status.success() && text.contains("expected none, icp or gicp"), "{text}");
     let output = files.estimate(&[], &["--device", "abacus"]);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && text.contains("expected auto, flex"), "{text}");

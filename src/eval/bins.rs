@@ -68,13 +68,27 @@ impl RotationBins {
 
 /// Object to camera of the most visible instance of an object in an image.
 pub fn most_visible(split: &BopSplit, scene_id: u32, im_id: u32, obj_id: u32) -> Result<Pose, FormatError> {
+    let index = most_visible_index(split, scene_id, im_id, obj_id)?;
     let scene = split.scene(scene_id)?;
     let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
-    let of_object = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).filter(|(gt, _)| gt.obj_id == obj_id);
-    match of_object.max_by(|a, b| a.1.visib_fract.total_cmp(&b.1.visib_fract)) {
-        Some((gt, _)) => gt.pose(&place),
-        None => Err(FormatError::missing(place, format!("object {obj_id}"), "")),
-    }
+    scene.gt(im_id)?[index].pose(&place)
+}
+
+/// Number of the most visible instance of an object among an image's annotations.
+pub fn most_visible_index(
+    split: &BopSplit,
+    scene_id: u32,
+    im_id: u32,
+    obj_id: u32,
+) -> Result<usize, FormatError> {
+    let scene = split.scene(scene_id)?;
+    let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
+    let of_object = instances.filter(|(_, (gt, _))| gt.obj_id == obj_id);
+    let best = of_object.max_by(|(_, a), (_, b)| a.1.visib_fract.total_cmp(&b.1.visib_fract));
+    best.map(|(index, _)| index).ok_or_else(|| {
+        let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
+        FormatError::missing(place, format!("object {obj_id}"), "")
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 
 mod benchmark;
 mod bins;
+mod bootstrap;
 mod error;
 mod matching;
 mod object;
@@ -18,7 +19,8 @@ mod scoring;
 mod vsd;
 
 pub use benchmark::{score_poses, write_poses};
-pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible};
+pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible, most_visible_index};
+pub use bootstrap::{Interval, average_recall_interval, paired_difference};
 pub use error::EvalError;
 pub use matching::match_estimates;
 pub use object::EvalObject;

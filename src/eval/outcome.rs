@@ -71,6 +71,15 @@ pub struct TargetOutcome {
     pub hits: Hits,
 }
 
+impl TargetOutcome {
+    /// The target's part in the average recall, in 0..=1: AR is the mean of it over all targets.
+    pub fn credit(&self) -> f64 {
+        let share = |hits: &[bool]| hits.iter().filter(|&&hit| hit).count() as f64 / hits.len() as f64;
+        let Hits { vsd, mssd, mspd } = &self.hits;
+        (share(vsd.as_flattened()) + share(mssd) + share(mspd)) / 3.0
+    }
+}
+
 /// Hits of every ground truth. `errors[estimate][ground truth]`, estimates by descending score.
 pub fn hits(errors: &[Vec<PoseErrors>], gt_count: usize, diameter: f64, image_width: u32) -> Vec<Hits> {
     let mut hits = vec![Hits::default(); gt_count];

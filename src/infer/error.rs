@@ -22,8 +22,6 @@ pub enum InferError {
     UnequalCounts { query: usize, reference: usize },
     #[error("the estimated pose is not finite, expected one: are the checkpoint's weights broken?")]
     NotFinite,
-    #[error("unknown refinement {0:?}, expected none or icp")]
-    Refinement(String),
     #[error(
         "no checkpoint: looked for {}, and none is embedded in this build; name one with --checkpoint",
         looked.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")

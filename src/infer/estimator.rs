@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::{
     EncodedReferences, InferError, PairEstimate, Reference, Refinement, StageTimes, Uniforms,
-    encode_references, estimate_encoded, refine,
+    encode_references, estimate_encoded,
 };
 use crate::{
     checkpoint,
@@ -24,6 +24,7 @@ use crate::{
     frame::{Mask, RgbdFrame},
     geometry::Pose,
     model::UnoPose,
+    registration::icp::refine_with,
 };
 
 /// Where the default checkpoint lies, beside the binary or in the working directory.
@@ -156,6 +157,10 @@ impl PoseEstimator {
         self.refinement
     }
 
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
     /// Where the weights come from.
     pub fn source(&self) -> &str {
         &self.source
@@ -180,7 +185,7 @@ impl PoseEstimator {
             surface: OnceLock::new(),
             seconds: 0.0,
         };
-        if self.refinement == Refinement::Icp {
+        if self.refinement != Refinement::None {
             reference.surface();
         }
         Ok(Reference { seconds: start.elapsed().as_secs_f64(), ..reference })
@@ -263,8 +268,11 @@ impl PoseEstimator {
         if !pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
-        if let (Refinement::Icp, Some(surface)) = (self.refinement, query.reference.surface()) {
-            pose = refine(&query.frame.masked_points(query.mask), surface, &pose);
+        if let Some(settings) = self.refinement.settings()
+            && let Some(surface) = query.reference.surface()
+        {
+            let points = query.frame.masked_points(query.mask);
+            pose = refine_with(&points, surface, &pose, &settings).t_query_reference;
         }
         let refine = start.elapsed().as_secs_f64();
         Ok(Estimate {

@@ -2,16 +2,16 @@
 //!
 //! [`PoseEstimator`] is the way in: it loads a checkpoint, prepares a [`Reference`] once and estimates any number of
 //! query instances against it. [`estimate_pairs`] and its relatives work on prepared pairs (training's validation
-//! uses them), [`IcpReference`] refines a pose from any source, and [`estimate_targets`] runs the target list of a
-//! BOP dataset. Every random number comes from the seed alone, so a pose does not depend on what else is estimated
+//! uses them), and [`estimate_targets`] runs the target list of a BOP dataset. Every random number comes from the seed alone, so a pose does not depend on what else is estimated
 //! with it.
 
 mod assignments;
 mod error;
 mod estimator;
+mod one_pair;
 mod pairs;
 mod reference;
-mod refine;
+mod target_list;
 mod target_references;
 mod targets;
 mod view_files;
@@ -24,6 +24,8 @@ pub use pairs::{
     estimate_pairs,
 };
 pub use reference::Reference;
-pub use refine::{IcpOutcome, IcpReference, Refinement, refine, refine_with_outcome};
-pub use targets::{Rejection, TargetFiles, TargetList, TargetPoses, estimate_targets};
+pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
+pub use targets::estimate_targets;
 pub use view_files::{View, ViewFiles, query_folder};
+
+pub use crate::registration::{IcpOutcome, IcpReference, Refinement, refine};

@@ -23,7 +23,7 @@ impl Reference {
         &self.points
     }
 
-    /// The surface for [`super::refine`], made on first use; `None` when the points make none.
+    /// The surface for refinement, made on first use; `None` when the points make none.
     pub fn surface(&self) -> Option<&IcpReference> {
         self.surface.get_or_init(|| IcpReference::new(&self.points)).as_ref()
     }

@@ -55,10 +55,10 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let poses = estimate_targets(&estimator, &list, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     let method = match estimator.refinement() {
-        Refinement::None => "unopose",
-        Refinement::Icp => "unopose-icp",
+        Refinement::None => "unopose".to_owned(),
+        refinement => format!("unopose-{refinement}"),
     };
-    let table = write_poses(&list, &poses, method, &arguments.out)?;
+    let table = write_poses(&list, &poses, &method, &arguments.out)?;
     let progress = Progress::new("scoring");
     let show = |done, total| progress.set(done, total);
     let evaluation = score_poses(&list, &poses, arguments.score_targets.as_deref(), &show)?;

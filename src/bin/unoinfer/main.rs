@@ -1,5 +1,6 @@
 //! `unoinfer`: poses of objects against one reference view, evaluation on BOP datasets, scoring of result tables.
 
+mod bench;
 mod convert;
 mod estimate;
 mod eval;
@@ -24,6 +25,8 @@ enum Command {
     Estimate(estimate::EstimateArguments),
     /// Estimate every target of a BOP dataset and score the poses
     Eval(eval::EvalArguments),
+    /// Compare methods, classical ones and the network, on the targets of a BOP dataset
+    Bench(bench::BenchArguments),
     /// Score a BOP result table
     Score(score::ScoreArguments),
     /// Run a network on stored inputs and compare every stored tensor of another implementation
@@ -41,6 +44,7 @@ fn main() -> std::process::ExitCode {
     let done = match Arguments::parse().command {
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
         Command::Inspect(arguments) => convert::inspect(&arguments),

@@ -18,7 +18,7 @@ pub struct EstimatorOptions {
     /// Compute device: auto, flex, ndarray, wgpu or cuda
     #[arg(long, default_value = "auto")]
     device: DeviceChoice,
-    /// Refinement after the network: none, or icp (local, at most 30 mm and 15 degrees)
+    /// Refinement after the network: none, icp or gicp (local, at most 30 mm and 15 degrees)
     #[arg(long, default_value = "none")]
     refine: Refinement,
     /// Seed of point sampling and pose hypotheses

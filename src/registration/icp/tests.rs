@@ -39,11 +39,13 @@ fn a_noisy_half_overlapping_bumpy_surface_is_aligned() {
     let mut query: Vec<[f32; 3]> = leak.collect();
     query.extend(sheet(-0.06, 0.12, 0.0008, &mut rng));
     let query: Vec<[f32; 3]> = query.iter().map(|p| truth.transform_f32(p)).collect();
-    let outcome = refine_with_outcome(&query, &reference, &(truth * off(5.0, 0.005)));
-    let (shift, turn) = errors(&outcome.t_query_reference, &truth);
-    assert!(outcome.accepted && outcome.residual[1] < 0.5 * outcome.residual[0], "{outcome:?}");
-    assert!(shift < 0.0008 && turn < 0.4, "{shift} m, {turn} deg");
-    assert!((outcome.motion[1] - 5.0).abs() < 0.5, "{outcome:?}");
+    for settings in [IcpSettings::POINT_TO_PLANE, IcpSettings::GENERALIZED] {
+        let outcome = refine_with(&query, &reference, &(truth * off(5.0, 0.005)), &settings);
+        let (shift, turn) = errors(&outcome.t_query_reference, &truth);
+        assert!(outcome.accepted && outcome.residual[1] < 0.5 * outcome.residual[0], "{outcome:?}");
+        assert!(shift < 0.0008 && turn < 0.4, "{shift} m, {turn} deg");
+        assert!((outcome.motion[1] - 5.0).abs() < 0.5, "{outcome:?}");
+    }
 }
 
 #[test]
@@ -54,14 +56,14 @@ fn it_stays_local_and_never_makes_it_worse() {
     // Far starts: whatever comes back is within the limits of the start.
     for (degrees, metres) in [(20.0, 0.0), (60.0, 0.02), (5.0, 0.045), (170.0, 0.3)] {
         let start = off(degrees, metres);
-        let outcome = refine_with_outcome(&cloud, &reference, &start);
+        let outcome = refine_with(&cloud, &reference, &start, &IcpSettings::POINT_TO_PLANE);
         let (_, turn) = errors(&outcome.t_query_reference, &start);
         assert!(turn <= MAX_TURN_DEG, "{outcome:?}");
         let unchanged = outcome.t_query_reference == start;
         assert!(outcome.accepted || unchanged);
         assert!(!outcome.accepted || outcome.motion[0] <= MAX_SHIFT, "{outcome:?}");
     }
-    let nothing = refine_with_outcome(&[], &reference, &off(1.0, 0.001));
+    let nothing = refine_with(&[], &reference, &off(1.0, 0.001), &IcpSettings::GENERALIZED);
     assert!(!nothing.accepted);
 }
 
