@@ -1,13 +1,16 @@
 //! Official weights: both containers, strictness, conversions, and the way back. Files of the official implementation
 //! come from the folder named by `UNOPOSE_SHARED`; those tests are skipped with a printed reason without it.
 
+mod pytorch_file;
+
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
+use burn::tensor::{DType, Device, TensorData};
+use pytorch_file::Pickled;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use unopose::{
-    checkpoint::{OfficialState, export_official, load_official, official_tensors},
-    config::{ColorConfig, Config, ModelConfig},
+    checkpoint::{OfficialState, export_official, load, load_official, official_tensors},
+    config::{ColorConfig, Config, ModelConfig, Quirks},
     model::UnoPose,
 };
 
@@ -26,9 +29,7 @@ fn fixtures() -> Option<(PathBuf, ModelConfig)> {
 
 fn bits(model: &UnoPose) -> Vec<(String, Vec<usize>, Vec<u32>)> {
     let tensors = official_tensors(model).unwrap();
-    let bits = |data: burn::tensor::TensorData| {
-        (data.shape().to_vec(), data.iter::<f32>().map(f32::to_bits).collect())
-    };
+    let bits = |data: TensorData| (data.shape().to_vec(), data.iter::<f32>().map(f32::to_bits).collect());
     tensors.into_iter().map(|(name, data)| (name, bits(data))).map(|(n, (s, b))| (n, s, b)).collect()
 }
 
@@ -112,23 +113,109 @@ fn missing_extra_and_wrong_tensors_are_all_listed() {
     assert!(error.contains("coarse_point_matching.score_heads.2.weight is unknown"), "{error}");
 }
 
+/// Values of a little-endian f32 tensor.
+fn floats(view: &TensorView<'_>) -> Vec<f32> {
+    floats_of(view.data())
+}
+
 #[test]
-fn double_precision_is_converted_with_a_notice() {
+fn other_precisions_are_converted_with_a_notice() {
     let Some((folder, config)) = fixtures() else { return };
     let scratch = tempfile::tempdir().unwrap();
-    let path = scratch.path().join("w.pth");
-    rewrite(&folder.join("weights.safetensors"), &path, |name, view| {
-        if !name.starts_with("geo_embedding.proj") {
-            return same(view);
+    let source = folder.join("weights.safetensors");
+    let (model, _) = load_official(&source, &config, &Device::flex()).unwrap();
+    // Double precision holds the same numbers; the halves hold 11 and 8 binary digits.
+    let forms = [
+        ("F64", Dtype::F64, "DoubleStorage", DType::F64, 0.0),
+        ("F16", Dtype::F16, "HalfStorage", DType::F16, 2f32.powi(-11)),
+        ("BF16", Dtype::BF16, "BFloat16Storage", DType::BF16, 2f32.powi(-8)),
+    ];
+    for (name, dtype, storage, precision, relative) in forms {
+        let chosen = |name: &str| name.starts_with("geo_embedding.proj");
+        let encode = |view: &TensorView<'_>| {
+            let values = floats(view);
+            let count = values.len();
+            TensorData::new(values, [count]).convert_dtype(precision).as_bytes().to_vec()
+        };
+        // A safetensors file by content, whatever it is called, and a pickled one.
+        let (safe, pickled) = (scratch.path().join("w.pth"), scratch.path().join("w.safetensors"));
+        rewrite(&source, &safe, |name, view| match chosen(name) {
+            true => Some((dtype, view.shape().to_vec(), encode(view))),
+            false => same(view),
+        });
+        let content = std::fs::read(&source).unwrap();
+        let file = SafeTensors::deserialize(&content).unwrap();
+        let list: Vec<Pickled> = file
+            .iter()
+            .map(|(name, view)| {
+                let (storage, bytes) = match (chosen(name), view.dtype()) {
+                    (true, _) => (storage, encode(&view)),
+                    (false, Dtype::I64) => ("LongStorage", view.data().to_vec()),
+                    (false, _) => ("FloatStorage", view.data().to_vec()),
+                };
+                Pickled { name: name.into(), shape: view.shape().to_vec(), storage, bytes }
+            })
+            .collect();
+        pytorch_file::write(&pickled, Some("model"), &list, b"");
+        for path in [&safe, &pickled] {
+            let state = OfficialState::read(path).unwrap();
+            assert_eq!(
+                state.notices,
+                [format!("4 tensors converted from {name} to F32")],
+                "{}",
+                path.display()
+            );
+            let converted = state.into_model(&config, &Device::flex()).unwrap();
+            for ((name, _, a), (_, _, b)) in bits(&converted).iter().zip(&bits(&model)) {
+                let close = |(a, b): (&u32, &u32)| {
+                    let [a, b] = [a, b].map(|&x| f32::from_bits(x));
+                    (a - b).abs() <= relative * b.abs() + 1e-7 * f32::from(relative > 0.0)
+                };
+                assert!(a.iter().zip(b).all(close), "{name}");
+            }
         }
-        let values = view.data().chunks(4).map(|c| f32::from_le_bytes(c.try_into().unwrap()) as f64);
-        Some((Dtype::F64, view.shape().to_vec(), values.flat_map(f64::to_le_bytes).collect()))
-    });
-    // A safetensors file by content, whatever it is called.
-    let state = OfficialState::read(&path).unwrap();
-    assert_eq!(state.notices, ["4 tensors converted from F64 to F32"]);
-    let (model, _) = load_official(&folder.join("weights.pth"), &config, &Device::flex()).unwrap();
-    assert_eq!(bits(&state.into_model(&config, &Device::flex()).unwrap()), bits(&model));
+    }
+}
+
+#[test]
+fn objects_of_other_classes_beside_the_weights_do_no_harm() {
+    let Some((folder, config)) = fixtures() else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    let path = scratch.path().join("checkpoint.pt");
+    let content = std::fs::read(folder.join("weights.safetensors")).unwrap();
+    let file = SafeTensors::deserialize(&content).unwrap();
+    let floats = file.iter().filter(|(_, view)| view.dtype() == Dtype::F32);
+    let list: Vec<Pickled> = floats.map(|(n, v)| Pickled::f32(n, v.shape(), &floats_of(v.data()))).collect();
+    // {"model": {...}, "args": argparse.Namespace()} as training scripts leave it.
+    pytorch_file::write(&path, Some("model"), &list, b"X\x04\x00\x00\x00argscargparse\nNamespace\n)\x81");
+    let (model, _) = load_official(&path, &config, &Device::flex()).unwrap();
+    let (expected, _) = load_official(&folder.join("weights.pth"), &config, &Device::flex()).unwrap();
+    assert_eq!(bits(&model), bits(&expected));
+}
+
+fn floats_of(bytes: &[u8]) -> Vec<f32> {
+    bytes.chunks(4).map(|c| f32::from_le_bytes(c.try_into().unwrap())).collect()
+}
+
+#[test]
+fn a_checkpoint_reader_takes_official_files_too() {
+    let Some((folder, config)) = fixtures() else { return };
+    let device = Device::flex();
+    let (expected, _) = load_official(&folder.join("weights.pth"), &config, &device).unwrap();
+    let (model, found, _) = load(&folder.join("weights.pth"), &device).unwrap();
+    assert_eq!(bits(&model), bits(&expected));
+    assert_eq!(found.model.quirks, Quirks::release());
+    // Without the configuration beside it, a transformer 48 wide could have any number of heads.
+    let scratch = tempfile::tempdir().unwrap();
+    let alone = scratch.path().join("weights.safetensors");
+    std::fs::copy(folder.join("weights.safetensors"), &alone).unwrap();
+    let error = load(&alone, &device).unwrap_err().to_string();
+    assert!(error.contains("48 wide") && error.contains("config.json"), "{error}");
+    // Cut in half, under either name.
+    let good = std::fs::read(folder.join("weights.pth")).unwrap();
+    std::fs::write(&alone, &good[..good.len() / 2]).unwrap();
+    let error = load(&alone, &device).unwrap_err().to_string();
+    assert!(error.contains("PyTorch"), "{error}");
 }
 
 #[test]

@@ -1,10 +1,15 @@
 //! The whole network against the tensors of the official implementation (`fixtures/e2e_*.safetensors`): needs the
 //! shared folder (`UNOPOSE_SHARED`), skipped with a printed reason without it.
 
-use std::{collections::BTreeMap, path::PathBuf};
+mod reference_tensors;
+mod tensor_fixture;
+mod test_device;
+
+use std::path::PathBuf;
 
 use burn::tensor::{Device, Tensor};
-use safetensors::{Dtype, SafeTensors};
+use tensor_fixture::Fixture;
+use test_device::test_device;
 use unopose::{
     checkpoint::load_official,
     config::{
@@ -21,11 +26,6 @@ use unopose::{
     model::{CloudTensors, PairTensors, Supervision, UnoPose},
 };
 
-struct Fixture {
-    floats: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
-    ints: BTreeMap<String, Vec<i64>>,
-}
-
 fn fixtures() -> Option<PathBuf> {
     let shared = std::env::var("UNOPOSE_SHARED").unwrap_or_else(|_| "../shared".into());
     let folder = PathBuf::from(shared).join("fixtures");
@@ -36,61 +36,14 @@ fn fixtures() -> Option<PathBuf> {
     Some(folder)
 }
 
-impl Fixture {
-    fn read(path: PathBuf) -> Self {
-        let bytes = std::fs::read(path).unwrap();
-        let file = SafeTensors::deserialize(&bytes).unwrap();
-        let (mut floats, mut ints) = (BTreeMap::new(), BTreeMap::new());
-        for (name, view) in file.iter() {
-            let data = view.data();
-            match view.dtype() {
-                Dtype::F32 => {
-                    let values = data.chunks_exact(4).map(|c| f32::from_le_bytes(c.try_into().unwrap()));
-                    floats.insert(name.to_owned(), (view.shape().to_vec(), values.collect()));
-                }
-                Dtype::I64 => {
-                    let values = data.chunks_exact(8).map(|c| i64::from_le_bytes(c.try_into().unwrap()));
-                    ints.insert(name.to_owned(), values.collect());
-                }
-                _ => {}
-            }
-        }
-        Self { floats, ints }
-    }
+fn choose(fixture: &Fixture, name: &str, b: usize) -> Vec<u32> {
+    fixture.file.int_item(name, b).into_iter().map(|v| v as u32).collect()
+}
 
-    /// Item `b` of a batched tensor.
-    fn item(&self, name: &str, b: usize) -> &[f32] {
-        let (shape, values) = &self.floats[name];
-        let n = values.len() / shape[0];
-        &values[b * n..(b + 1) * n]
-    }
-
-    fn points(&self, name: &str, b: usize) -> Vec<[f32; 3]> {
-        self.item(name, b).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()
-    }
-
-    fn choose(&self, name: &str, b: usize) -> Vec<u32> {
-        let values = &self.ints[name];
-        let n = values.len() / 2;
-        values[b * n..(b + 1) * n].iter().map(|&v| v as u32).collect()
-    }
-
-    fn pose(&self, rotation: &str, translation: &str, b: usize, scale: f64) -> Pose {
-        let r: Vec<f64> = self.item(rotation, b).iter().map(|&x| x as f64).collect();
-        let t: Vec<f64> = self.item(translation, b).iter().map(|&x| x as f64 / scale).collect();
-        Pose::from_row_major(&r.try_into().unwrap(), &t.try_into().unwrap())
-    }
-
-    #[track_caller]
-    fn check<const D: usize>(&self, name: &str, tensor: Tensor<D>, tolerance: f32) {
-        let (shape, expected) = &self.floats[name];
-        let actual = tensor.into_data();
-        let actual = actual.as_slice::<f32>().unwrap();
-        assert_eq!(actual.len(), expected.len(), "{name}: expected shape {shape:?}");
-        let worst = actual.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        println!("{name}: max abs difference {worst:.2e} (tolerance {tolerance:.0e})");
-        assert!(worst <= tolerance, "{name}: max abs difference {worst:e} > {tolerance:e}");
-    }
+fn pose(fixture: &Fixture, rotation: &str, translation: &str, b: usize, scale: f64) -> Pose {
+    let r: Vec<f64> = fixture.file.item(rotation, b).into_iter().map(f64::from).collect();
+    let t: Vec<f64> = fixture.file.item(translation, b).into_iter().map(|x| x as f64 / scale).collect();
+    Pose::from_row_major(&r.try_into().unwrap(), &t.try_into().unwrap())
 }
 
 /// The sizes of `fixtures/config.json`, with the release's behaviour.
@@ -126,15 +79,15 @@ fn inputs(fixture: &Fixture, config: &ModelConfig) -> Vec<(CloudInput, PreparedR
     (0..2)
         .map(|b| {
             let reference = reference_from_points(
-                &fixture.points("tem1_pts", b),
-                &fixture.choose("tem1_choose", b),
-                fixture.item("tem1_rgb", b).to_vec(),
+                &fixture.file.cloud("tem1_pts", b),
+                &choose(fixture, "tem1_choose", b),
+                fixture.file.item("tem1_rgb", b),
                 config,
             );
             let query = query_from_points(
-                &fixture.points("pts", b),
-                &fixture.choose("rgb_choose", b),
-                fixture.item("rgb", b).to_vec(),
+                &fixture.file.cloud("pts", b),
+                &choose(fixture, "rgb_choose", b),
+                fixture.file.item("rgb", b),
                 reference.radius,
                 config,
             );
@@ -143,21 +96,21 @@ fn inputs(fixture: &Fixture, config: &ModelConfig) -> Vec<(CloudInput, PreparedR
         .collect()
 }
 
-fn network(config: &ModelConfig, device: &Device) -> Option<(UnoPose, PathBuf)> {
+fn network(config: &ModelConfig, device: &Device) -> Option<UnoPose> {
     let folder = fixtures()?;
     let (model, unused) = load_official(&folder.join("weights.safetensors"), config, device).unwrap();
     assert!(unused.iter().any(|name| name == "fine_point_matching.dis_proj.weight"), "unused: {unused:?}");
-    Some((model, folder))
+    Some(model)
 }
 
 #[test]
 fn evaluation_matches_the_official_network() {
-    let device = Device::flex();
+    let device = test_device();
     for evaluation in [EmbeddingEvaluation::Exact, EmbeddingEvaluation::Table] {
         let mut config = small_official();
         config.geo_embedding.evaluation = evaluation;
-        let Some((model, folder)) = network(&config, &device) else { return };
-        let fixture = Fixture::read(folder.join("e2e_eval.safetensors"));
+        let Some(model) = network(&config, &device) else { return };
+        let fixture = Fixture::open("e2e_eval").unwrap();
         let pairs = inputs(&fixture, &config);
         let clouds: Vec<&CloudInput> = pairs.iter().map(|p| &p.0).collect();
         let references: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
@@ -181,7 +134,7 @@ fn evaluation_matches_the_official_network() {
             .iter()
             .enumerate()
             .map(|(b, (query, _))| {
-                let t_reference_query = fixture.pose("init_R", "init_t", b, 1.0).inverse();
+                let t_reference_query = pose(&fixture, "init_R", "init_t", b, 1.0).inverse();
                 let points: Vec<_> =
                     query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
                 positional_groups(&points, &config)
@@ -201,13 +154,13 @@ fn evaluation_matches_the_official_network() {
         fixture.check("fine_scores", Tensor::cat(fine[0].overlap_probability().to_vec(), 1), 3e-3);
 
         let views: Vec<_> = pairs.iter().map(|(q, r)| (q, r)).collect();
-        let uniforms: Vec<Vec<f32>> = (0..2).map(|b| fixture.item("uniform", b).to_vec()).collect();
+        let uniforms: Vec<Vec<f32>> = (0..2).map(|b| fixture.file.item("uniform", b)).collect();
         let estimates = estimate_pairs(&model, &config, &views, Uniforms::Given(&uniforms), &device).unwrap();
         for (b, estimate) in estimates.iter().enumerate() {
-            let expected = fixture.pose("pred_R", "pred_t", b, 1.0);
+            let expected = pose(&fixture, "pred_R", "pred_t", b, 1.0);
             let angle = estimate.t_query_reference.rotation_angle_deg(&expected);
             let shift = estimate.t_query_reference.translation_distance(&expected);
-            let score = (estimate.score - fixture.item("pred_pose_score", b)[0] as f64).abs();
+            let score = (estimate.score - fixture.file.item("pred_pose_score", b)[0] as f64).abs();
             println!("pair {b}: {angle:.1e} deg, {shift:.1e} m, score {score:.1e}");
             assert!(
                 angle < 1e-3 && shift < 6e-6 && score < 2e-6,
@@ -219,20 +172,20 @@ fn evaluation_matches_the_official_network() {
 
 #[test]
 fn training_losses_match_the_official_network() {
-    let device = Device::flex().autodiff();
+    let device = test_device().autodiff();
     let config = small_official();
-    let Some((model, folder)) = network(&config, &device) else { return };
-    let fixture = Fixture::read(folder.join("e2e_train.safetensors"));
+    let Some(model) = network(&config, &device) else { return };
+    let fixture = Fixture::open("e2e_train").unwrap();
     let samples: Vec<TrainSample> = inputs(&fixture, &config)
         .into_iter()
         .enumerate()
         .map(|(b, (query, reference))| {
-            let t_init = fixture.pose("init_R", "init_t", b, 1.0);
+            let t_init = pose(&fixture, "init_R", "init_t", b, 1.0);
             let t_reference_query = t_init.inverse();
             let moved: Vec<_> = query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
             let scale = reference.radius as f64 + 1e-6;
             TrainSample {
-                t_query_reference: fixture.pose("rotation_label", "translation_label", b, scale),
+                t_query_reference: pose(&fixture, "rotation_label", "translation_label", b, scale),
                 t_init,
                 query_groups: positional_groups(&moved, &config),
                 query,
@@ -289,7 +242,7 @@ fn training_losses_match_the_official_network() {
         ),
     ];
     for (name, actual) in checks {
-        let Some((_, expected)) = fixture.floats.get(&format!("grad.{name}")) else { continue };
+        let expected = &fixture.file.f32(&format!("grad.{name}")).1;
         let dot: f64 = actual.iter().zip(expected).map(|(a, b)| (a * b) as f64).sum();
         let norm = |v: &[f32]| v.iter().map(|x| (x * x) as f64).sum::<f64>().sqrt();
         let difference: Vec<f32> = actual.iter().zip(expected).map(|(a, b)| a - b).collect();

@@ -6,7 +6,13 @@ use std::{
     process::{Command, Output},
 };
 
+use burn::tensor::Device;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use unopose::{
+    checkpoint::{self, Meta},
+    config::Config,
+    model::UnoPose,
+};
 
 fn fixtures() -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -28,8 +34,9 @@ fn text(path: &Path) -> &str {
 }
 
 fn verify(weights: &Path, tensors: &Path, more: &[&str]) -> (bool, String) {
-    let output =
-        unoinfer(&[&["verify", "--weights", text(weights), "--tensors", text(tensors)], more].concat());
+    let device = std::env::var("UNOPOSE_TEST_DEVICE").unwrap_or_else(|_| "flex".into());
+    let fixed = ["verify", "--weights", text(weights), "--tensors", text(tensors), "--device", &device];
+    let output = unoinfer(&[&fixed[..], more].concat());
     let both = [output.stdout, output.stderr].concat();
     (output.status.success(), String::from_utf8(both).unwrap())
 }
@@ -103,6 +110,46 @@ fn sizes_that_disagree_are_named() {
     std::fs::write(&config, json.replacen("\"depth\": 4", "\"depth\": 5", 1)).unwrap();
     let (passed, out) = verify(&folder.join("weights.pth"), &eval, &["--config", text(&config)]);
     assert!(!passed && out.contains("model.color.depth is 4 in the checkpoint, 5 here"), "{out}");
+}
+
+#[test]
+fn export_makes_an_official_file_or_says_why_not() {
+    let scratch = tempfile::tempdir().unwrap();
+    let device = Device::flex();
+    let out = scratch.path().join("official.safetensors");
+    let save = |name: &str, overrides: &[&str]| {
+        let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+        let config = Config::embedded("smoke", &overrides).unwrap();
+        let model = UnoPose::new(&config.model, 1, &device);
+        let path = scratch.path().join(name);
+        checkpoint::save(&path, &model, &config, &Meta::default()).unwrap();
+        (path, config, model)
+    };
+    let color = "model.color={kind=\"vit\", embed_dim=16, depth=4, heads=2, patch_size=8, out_dim=8}";
+    let (own, config, model) =
+        save("vit.safetensors", &[color, "model.coarse.heads=4", "model.fine.matching.heads=4"]);
+    let output = unoinfer(&["export", "--to", "official", text(&own), text(&out)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (back, unused) = checkpoint::load_official(&out, &config.model, &device).unwrap();
+    assert_eq!(
+        checkpoint::official_tensors(&back).unwrap(),
+        checkpoint::official_tensors(&model).unwrap(),
+        "export then import is the identity"
+    );
+    assert!(
+        unused.iter().all(|n| n.ends_with("num_batches_tracked") || n.ends_with("div_term")),
+        "{unused:?}"
+    );
+
+    let (own, ..) = save("conv.safetensors", &[]);
+    let output = unoinfer(&["export", "--to", "official", text(&own), text(&scratch.path().join("none"))]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("model.color.kind = conv"), "{error}");
+    assert!(!scratch.path().join("none").exists());
+
+    let output = unoinfer(&["inspect", text(&own)]);
+    let out = String::from_utf8(output.stdout).unwrap();
+    assert!(out.contains("kind: checkpoint of unotrain") && out.contains("kind = \"conv\""), "{out}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LossConfig {
-    /// Matches farther than this are background in InfoNCE, radii.
+    /// Matches farther than this are background in InfoNCE, radii. The paper gives no such distance; a large one is none.
     pub match_distance: f32,
     /// A point overlaps when the other cloud has a point at most this far, radii.
     pub overlap_distance: f32,

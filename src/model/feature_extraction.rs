@@ -72,7 +72,7 @@ impl RgbNet {
             return project.forward(Tensor::cat(sampled.to_vec(), 2));
         }
         if self.vit.is_some() {
-            return sample_map(self.upscaled_map(images), choose, self.image_size);
+            return self.sample(self.upscaled_map(images), choose);
         }
         let constant = self.constant.as_ref().map(Param::val);
         let constant = constant.unwrap_or_else(|| Tensor::zeros([self.out_dim], &images.device()));
@@ -84,7 +84,23 @@ impl RgbNet {
         let (Some(vit), Some(upscaling)) = (&self.vit, &self.output_upscaling) else {
             return Tensor::zeros([images.dims()[0], self.out_dim, 1, 1], &images.device());
         };
-        let tokens = vit.forward(images).pyramid;
+        self.unfold(upscaling, vit.forward(images).pyramid)
+    }
+
+    /// [`Self::upscaled_map`] from the transformer's tokens `[B, patches, 4 * embed_dim]`.
+    pub fn upscaled_tokens(&self, tokens: Tensor<3>) -> Tensor<4> {
+        match &self.output_upscaling {
+            Some(upscaling) => self.unfold(upscaling, tokens),
+            None => Tensor::zeros([tokens.dims()[0], self.out_dim, 1, 1], &tokens.device()),
+        }
+    }
+
+    /// Bilinear samples of a map `[B, C, side, side]` at the chosen pixels: `[B, N, C]`.
+    pub fn sample(&self, map: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
+        sample_map(map, choose, self.image_size)
+    }
+
+    fn unfold(&self, upscaling: &Linear, tokens: Tensor<3>) -> Tensor<4> {
         let [batch, patches, _] = tokens.dims();
         let side = patches.isqrt();
         upscaling

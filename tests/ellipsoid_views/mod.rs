@@ -18,7 +18,7 @@ pub struct EllipsoidViews {
     pub frames: Vec<AnnotatedFrame>,
     pub instances: Vec<InstanceRef>,
     references: [Vec<usize>; 2],
-    symmetries: ObjectSymmetries,
+    pub symmetries: ObjectSymmetries,
     /// Images that cannot be read.
     pub broken: Vec<u32>,
 }

@@ -76,6 +76,12 @@ impl ReferenceTensors {
         SafeTensors::deserialize(&self.bytes).unwrap().tensor(name).unwrap().shape()[0]
     }
 
+    /// Names of all tensors.
+    pub fn names(&self) -> Vec<String> {
+        let file = SafeTensors::deserialize(&self.bytes).unwrap();
+        file.names().into_iter().map(str::to_owned).collect()
+    }
+
     /// Whether the file holds a tensor.
     pub fn contains(&self, name: &str) -> bool {
         SafeTensors::deserialize(&self.bytes).unwrap().tensor(name).is_ok()
