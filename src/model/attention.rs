@@ -6,7 +6,7 @@ use burn::{
     tensor::{Tensor, activation::softmax},
 };
 
-use super::init::Initializer;
+use super::{fused::relative_scores, init::Initializer};
 
 /// Projections shared by both kinds; `proj_p` is present for relative positions.
 #[derive(Module, Debug)]
@@ -41,7 +41,6 @@ impl MultiHeadAttention {
     /// by `W_p`, which turns an `N x M x C x C` product into an `N x C x C` one.
     pub fn forward(&self, queries: Tensor<3>, memory: Tensor<3>, embedding: Option<Tensor<4>>) -> Tensor<3> {
         let [batch, n, width] = queries.dims();
-        let m = memory.dims()[1];
         let head_width = width / self.heads;
         let q = self.split(self.proj_q.forward(queries)) * (head_width as f64).powf(-0.5); // [B, H, N, d]
         let k = self.split(self.proj_k.forward(memory.clone()));
@@ -56,11 +55,7 @@ impl MultiHeadAttention {
                 .permute([1, 2, 0])
                 .unsqueeze::<4>();
             let projected = q.clone().matmul(weight); // [B, H, N, C]
-            let position = embedding
-                .reshape([batch * n, m, width])
-                .matmul(projected.permute([0, 2, 3, 1]).reshape([batch * n, width, self.heads])) // [B N, M, H]
-                .reshape([batch, n, m, self.heads])
-                .permute([0, 3, 1, 2]);
+            let position = relative_scores(projected, embedding); // [B, H, N, M]
             scores = scores + position;
             if let Some(bias) = &proj_p.bias {
                 let bias = bias.val().reshape([1, self.heads, head_width, 1]);

@@ -1,16 +1,16 @@
-//! Linear map, batch normalisation and ReLU over rows in one: the positional encoding's shared layer.
+//! Batch normalisation of `x W` over rows, folded into `W`: the positional encoding's shared layers.
 //!
-//! The batch statistics of `y = x W` follow from the mean and the second moments of `x`, so the normalisation is folded
-//! into the weights before the rows are touched. Over the hundreds of thousands of neighbour rows this leaves one
+//! The batch statistics of `y = x W` follow from the mean and the second moments of `x`, so the normalisation becomes
+//! part of the weights before the rows are touched. Over the hundreds of thousands of neighbour rows this leaves one
 //! matrix product and one ReLU instead of a dozen passes.
 
 use burn::{
     module::{Module, Param, RunningState},
     nn::Linear,
-    tensor::{Tensor, activation::relu, module::linear},
+    tensor::Tensor,
 };
 
-use super::init::Initializer;
+use super::{fused::row_moments, init::Initializer};
 
 /// Scale, shift and running statistics per channel, as in PyTorch (unbiased running variance, momentum 0.1).
 #[derive(Module, Debug)]
@@ -34,49 +34,50 @@ impl RowBatchNorm {
         }
     }
 
-    /// `relu(norm(x W))` of rows `[rows, C_in]`. `rows_mask` `[rows, 1]` of 0 and 1 says which rows count in the
-    /// statistics (`None`: all). With parameters on the autodiff tape the batch statistics are used and the running
-    /// ones updated; otherwise the running ones are used.
-    pub fn linear_relu(&self, map: &Linear, x: Tensor<2>, rows_mask: Option<Tensor<2>>) -> Tensor<2> {
-        let weight = map.weight.val(); // [C_in, C]
-        let (mean, variance) = if weight.is_autodiff() {
-            self.batch_statistics(&weight, &x, rows_mask)
-        } else {
-            (self.running_mean.value().unsqueeze(), self.running_var.value().unsqueeze())
-        };
-        let scale = (variance + EPSILON).sqrt().recip() * self.weight.val().unsqueeze(); // [1, C]
-        let shift = self.bias.val() - (mean * scale.clone()).squeeze_dim::<1>(0);
-        relu(linear(x, weight * scale, Some(shift)))
+    /// Weight `[C_in, C]` and shift `[C]` of the map with the normalisation by the running statistics folded in.
+    pub fn fold(&self, map: &Linear) -> (Tensor<2>, Tensor<1>) {
+        self.fold_statistics(map.weight.val(), self.running_mean.value(), self.running_var.value())
     }
 
-    /// Mean and biased variance of `x W`, `[1, C]` each.
-    fn batch_statistics(
+    /// [`Self::fold`] with the statistics of `x W` over the rows `[rows, C_in]`, which also update the running ones.
+    /// `rows_mask` `[rows, 1]` of 0 and 1 says which rows count (`None`: all).
+    pub fn fold_batch(
         &self,
-        weight: &Tensor<2>,
+        map: &Linear,
         x: &Tensor<2>,
         rows_mask: Option<Tensor<2>>,
-    ) -> (Tensor<2>, Tensor<2>) {
-        let counted = match &rows_mask {
-            None => x.clone(),
-            Some(mask) => x.clone() * mask.clone(),
+    ) -> (Tensor<2>, Tensor<1>) {
+        let weight = map.weight.val();
+        let [rows, inputs] = x.dims();
+        let count = match &rows_mask {
+            None => Tensor::full([1, 1], rows as f32, &x.device().inner()),
+            Some(mask) => mask.clone().inner().sum_dim(0),
         };
-        let count = match rows_mask {
-            None => Tensor::full([1, 1], x.dims()[0] as f32, &x.device().inner()),
-            Some(mask) => mask.sum_dim(0),
-        };
-        let input_mean = counted.clone().sum_dim(0) / count.clone(); // [1, C_in]
-        let moments = x.clone().transpose().matmul(counted) / count.clone(); // [C_in, C_in]
-        let covariance = moments - input_mean.clone().transpose().matmul(input_mean.clone());
-        let mean = input_mean.matmul(weight.clone());
+        let moments = row_moments(x.clone(), rows_mask);
+        let input_mean = moments.clone().slice([inputs..inputs + 1]); // [1, C_in]
+        let covariance =
+            moments.slice([0..inputs]) - input_mean.clone().transpose().matmul(input_mean.clone());
+        let mean = input_mean.matmul(weight.clone()).squeeze_dim::<1>(0);
         let variance = (weight.clone() * covariance.matmul(weight.clone())).sum_dim(0).clamp_min(0.0);
-        self.update(mean.clone().inner(), variance.clone().inner(), count.inner());
-        (mean, variance)
+        let variance = variance.squeeze_dim::<1>(0);
+        self.update(mean.clone().inner(), variance.clone().inner(), count.squeeze_dim(0));
+        self.fold_statistics(weight, mean, variance)
     }
 
-    fn update(&self, mean: Tensor<2>, variance: Tensor<2>, count: Tensor<2>) {
+    fn fold_statistics(
+        &self,
+        weight: Tensor<2>,
+        mean: Tensor<1>,
+        variance: Tensor<1>,
+    ) -> (Tensor<2>, Tensor<1>) {
+        let scale = (variance + EPSILON).sqrt().recip() * self.weight.val(); // [C]
+        let shift = self.bias.val() - mean * scale.clone();
+        (weight * scale.unsqueeze(), shift)
+    }
+
+    fn update(&self, mean: Tensor<1>, variance: Tensor<1>, count: Tensor<1>) {
         let unbiased = variance * (count.clone() / (count - 1.0).clamp_min(1.0));
-        let blend =
-            |old: Tensor<1>, new: Tensor<2>| old * (1.0 - MOMENTUM) + new.squeeze_dim::<1>(0) * MOMENTUM;
+        let blend = |old: Tensor<1>, new: Tensor<1>| old * (1.0 - MOMENTUM) + new * MOMENTUM;
         self.running_mean.update(blend(self.running_mean.value_sync().inner(), mean));
         self.running_var.update(blend(self.running_var.value_sync().inner(), unbiased));
     }

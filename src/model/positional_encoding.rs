@@ -3,7 +3,11 @@
 
 use burn::{module::Module, nn::Linear, tensor::Tensor};
 
-use super::{batch_norm::RowBatchNorm, init::Initializer};
+use super::{
+    batch_norm::RowBatchNorm,
+    fused::{linear_relu, linear_relu_max, shared_layers_max},
+    init::Initializer,
+};
 use crate::config::FineConfig;
 
 /// Batch norm under the release's name.
@@ -47,6 +51,8 @@ pub struct PositionalEncoding {
 pub struct GroupTensors {
     /// Offset and LRF coordinates of every neighbour, `[B, N, K, 6]`.
     pub features: Tensor<4>,
+    /// True neighbours of every centre, `[B * N]`.
+    pub counts: Vec<u32>,
     /// 1 for true neighbours, 0 for padding, `[B * N * K, 1]`; `None`: padding counts in the batch statistics.
     pub mask: Option<Tensor<2>>,
 }
@@ -71,12 +77,24 @@ impl SharedMlp {
         if inputs < channels {
             x = x.slice([0..batch * n * k, 0..inputs]);
         }
-        for layer in [&self.layer0, &self.layer1, &self.layer2] {
-            x = layer.normlayer.bn.linear_relu(&layer.conv, x, groups.mask.clone());
-        }
-        let width = x.dims()[1];
+        let layers = [&self.layer0, &self.layer1, &self.layer2];
+        let pooled = if self.layer0.conv.weight.val().is_autodiff() {
+            let [first, second, last] = layers.map(|layer| {
+                |x: &Tensor<2>| layer.normlayer.bn.fold_batch(&layer.conv, x, groups.mask.clone())
+            });
+            let (weight, shift) = first(&x);
+            let x = linear_relu(x, weight, shift);
+            let (weight, shift) = second(&x);
+            let x = linear_relu(x, weight, shift);
+            let (weight, shift) = last(&x);
+            linear_relu_max(x, weight, shift, k)
+        } else {
+            let layers = layers.map(|layer| layer.normlayer.bn.fold(&layer.conv));
+            shared_layers_max(x, &layers, k, &groups.counts)
+        };
         // Padding repeats a true neighbour, so the maximum does not see it.
-        x.reshape([batch * n, k, width]).max_dim(1).reshape([batch, n, width])
+        let width = pooled.dims()[1];
+        pooled.reshape([batch, n, width])
     }
 }
 

@@ -128,10 +128,11 @@ pub fn group_tensors(
         let n = groups.first().map_or(0, |g| g[scale].counts.len());
         let k = groups.first().map_or(0, |g| g[scale].samples);
         let channels = groups.first().map_or(6, |g| g[scale].features.len() / (n * k).max(1));
+        let counts: Vec<u32> = groups.iter().flat_map(|g| &g[scale].counts).copied().collect();
         let mask = (!config.quirks.batchnorm_counts_padding).then(|| {
             let mut mask = vec![0f32; batch * n * k];
             let rows = mask.chunks_exact_mut(k.max(1));
-            for (row, &count) in rows.zip(groups.iter().flat_map(|g| &g[scale].counts)) {
+            for (row, &count) in rows.zip(&counts) {
                 // A centre without neighbours still has one (zero) row that counts.
                 row[..(count as usize).clamp(1, k)].fill(1.0);
             }
@@ -143,6 +144,7 @@ pub fn group_tensors(
                 groups.iter().map(|g| g[scale].features.as_slice()),
                 device,
             ),
+            counts,
             mask,
         }
     })

@@ -6,10 +6,10 @@ use burn::{
         LayerNorm, Linear,
         conv::{Conv2d, Conv2dConfig},
     },
-    tensor::{Tensor, activation::gelu, module::attention, ops::AttentionModuleOptions},
+    tensor::{Tensor, module::attention, ops::AttentionModuleOptions},
 };
 
-use super::init::Initializer;
+use super::{fused::gelu, init::Initializer};
 use crate::config::VitConfig;
 
 const LAYER_NORM_EPSILON: f64 = 1e-6;

@@ -1,0 +1,212 @@
+//! Times of every stage of one pair, beside the machine's matrix product:
+//! `cargo bench --bench pair [-- --config geo] [--set model.color.depth=24] [--rounds 9]`.
+//!
+//! One query and one reference of the configuration's sizes (default: `unopose`, the paper's), untrained weights. A
+//! stage's time is the median over the rounds; the ratio is to a product of two 1024 x 1024 matrices in the same process.
+
+use std::{hint::black_box, time::Instant};
+
+use burn::tensor::{Device, Distribution, Tensor};
+use clap::Parser;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use unopose::{
+    config::{Config, ModelConfig},
+    data::{CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points},
+    device::{DeviceChoice, keep_freed_memory},
+    geometry::{coarse_pose, fine_pose, match_assignment},
+    infer::{EncodedReferences, Uniforms, encode_references, estimate_encoded, estimate_pairs},
+    model::{CloudTensors, Supervision, UnoPose, group_tensors},
+};
+
+#[derive(Parser)]
+struct Arguments {
+    /// A built-in configuration.
+    #[arg(long, default_value = "unopose")]
+    config: String,
+    /// Change a configuration value.
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    overrides: Vec<String>,
+    #[arg(long, default_value = "auto")]
+    device: DeviceChoice,
+    #[arg(long, default_value_t = 7)]
+    rounds: usize,
+    /// Instances of the batch against cached references.
+    #[arg(long, default_value_t = 8)]
+    instances: usize,
+    /// Passed by `cargo bench`.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+struct Bench {
+    rounds: usize,
+    device: Device,
+    product: f64,
+}
+
+impl Bench {
+    /// Median seconds of `work`, after one round that does not count.
+    fn median<T>(&self, mut work: impl FnMut() -> T) -> f64 {
+        black_box(work());
+        let mut seconds: Vec<f64> = (0..self.rounds)
+            .map(|_| {
+                let start = Instant::now();
+                black_box(work());
+                // Backends may compute later; nothing is asked of an idle one.
+                let _ = self.device.sync();
+                start.elapsed().as_secs_f64()
+            })
+            .collect();
+        seconds.sort_unstable_by(f64::total_cmp);
+        seconds[self.rounds / 2]
+    }
+
+    fn row<T>(&self, stage: &str, work: impl FnMut() -> T) -> f64 {
+        let seconds = self.median(work);
+        println!("| {stage} | {:.1} | {:.1} |", seconds * 1e3, seconds / self.product);
+        seconds
+    }
+}
+
+fn main() -> anyhow::Result<()> {
+    keep_freed_memory();
+    let arguments = Arguments::parse();
+    let config = Config::embedded(&arguments.config, &arguments.overrides)?.model;
+    let (device, backend) = arguments.device.open()?;
+    let model = UnoPose::new(&config, 0, &device);
+    let mut bench = Bench { rounds: arguments.rounds.max(1), device: device.clone(), product: 1.0 };
+
+    let matrix = || Tensor::<2>::random([1024, 1024], Distribution::Uniform(-1.0, 1.0), &device);
+    let (a, b) = (matrix(), matrix());
+    bench.product = bench.median(|| a.clone().matmul(b.clone()));
+    println!(
+        "backend {backend}, {} threads, configuration {}",
+        rayon::current_num_threads(),
+        arguments.config
+    );
+    println!("\n| stage | ms | ratio |\n|--|--|--|");
+    println!(
+        "| product of 1024 x 1024 ({:.0} GFLOP/s) | {:.2} | 1 |",
+        2.0 * 1024f64.powi(3) / bench.product / 1e9,
+        bench.product * 1e3
+    );
+    stages(&bench, &model, &config);
+
+    let (query, reference) = pair(&config, 0);
+    let encoded = encode_references(&model, &config, &[&reference], &device);
+    let again = |query: &CloudInput, reference: &PreparedReference, encoded: &EncodedReferences| {
+        estimate_encoded(&model, &config, &[(query, reference)], encoded, Uniforms::Shared(0), &device)
+    };
+    bench.row("**pair, cached reference**", || again(&query, &reference, &encoded));
+    bench.row("**whole pair**", || {
+        estimate_pairs(&model, &config, &[(&query, &reference)], Uniforms::Shared(0), &device)
+    });
+    let others: Vec<_> = (0..arguments.instances as u64).map(|seed| pair(&config, seed)).collect();
+    let encoded: Vec<_> =
+        others.iter().map(|(_, r)| encode_references(&model, &config, &[r], &device)).collect();
+    let seconds = bench.median(|| {
+        for ((query, reference), encoded) in others.iter().zip(&encoded) {
+            black_box(again(query, reference, encoded)).ok();
+        }
+    });
+    let each = seconds / others.len().max(1) as f64;
+    println!(
+        "| **instance of {}, cached references** | {:.1} | {:.1} |",
+        others.len(),
+        each * 1e3,
+        each / bench.product
+    );
+    if let Some(mebibytes) = peak_memory() {
+        println!("\npeak memory {mebibytes} MiB");
+    }
+    Ok(())
+}
+
+/// The parts of the whole, each on the inputs it has there.
+fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
+    let device = &bench.device;
+    let (points, choose, rgb) = view(config, 1, config.reference_points);
+    bench.row("reference: prepare (host)", || reference_from_points(&points, &choose, rgb.clone(), config));
+    let (query, reference) = pair(config, 0);
+    let [q, p] = [&query, &reference.cloud].map(|cloud| CloudTensors::from_clouds(&[cloud], config, device));
+    bench.row("colour features, one image", || model.feature_extraction.forward(q.images.clone(), &q.choose));
+    bench.row("structure embedding, one cloud", || {
+        model.geo_embedding.forward(q.distances.clone(), q.angles.clone())
+    });
+    let features = [&q, &p].map(|cloud| model.encode(cloud));
+    let coarse = || model.coarse((&q, &features[0]), (&p, &features[1]), Supervision::LastBlock).pop();
+    bench.row("coarse matching", coarse);
+    let values = |tensor: Tensor<3>| tensor.try_into_vec_as::<f32>().unwrap_or_default();
+    let ones = |count: usize| vec![1.0; count];
+    if let Some(block) = coarse() {
+        let similarity = values(block.similarity);
+        let assignment =
+            match_assignment(&similarity, &ones(query.sparse.len()), &ones(reference.cloud.sparse.len()));
+        let sparse = |cloud: &CloudInput| -> Vec<[f32; 3]> {
+            cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
+        };
+        let (from, to) = (sparse(&query), sparse(&reference.cloud));
+        let degenerate = config.quirks.degenerate_triplets;
+        bench.row("hypotheses (host)", || {
+            let mut rng = ChaCha8Rng::seed_from_u64(0);
+            coarse_pose(&assignment, &from, &to, &config.hypotheses, || rng.random(), degenerate)
+        });
+    }
+    let Some(stage) = &model.fine_point_matching else { return };
+    let groups = positional_groups(&query.points, config);
+    bench.row("ball groups with local frames (host)", || positional_groups(&query.points, config));
+    bench
+        .row("positional encoding, one cloud", || stage.position(&group_tensors(&[&groups], config, device)));
+    let position = [&groups, &reference.groups].map(|g| stage.position(&group_tensors(&[g], config, device)));
+    let [at_query, at_reference] = position;
+    let fine = || {
+        model
+            .fine(
+                (&q, &features[0], at_query.clone()),
+                (&p, &features[1], at_reference.clone()),
+                Supervision::LastBlock,
+            )
+            .pop()
+    };
+    bench.row("fine matching", fine);
+    let Some(block) = fine() else { return };
+    let similarity = values(block.similarity);
+    let ones = [ones(query.points.len()), ones(reference.cloud.points.len())];
+    bench.row("assignment (host)", || match_assignment(&similarity, &ones[0], &ones[1]));
+    let assignment = match_assignment(&similarity, &ones[0], &ones[1]);
+    bench.row("weighted Procrustes and score (host)", || {
+        fine_pose(&assignment, &query.points, &reference.cloud.points)
+    });
+}
+
+/// A query and a reference of the configuration's sizes.
+fn pair(config: &ModelConfig, seed: u64) -> (CloudInput, PreparedReference) {
+    let (points, choose, rgb) = view(config, 2 * seed, config.reference_points);
+    let reference = reference_from_points(&points, &choose, rgb, config);
+    let (points, choose, rgb) = view(config, 2 * seed + 1, config.fine_points);
+    (query_from_points(&points, &choose, rgb, reference.radius, config), reference)
+}
+
+/// The visible half of a bumpy ellipsoid with half axes of 10, 6 and 5 cm, 0.7 m away, and a noise picture.
+fn view(config: &ModelConfig, seed: u64, count: usize) -> (Vec<[f32; 3]>, Vec<u32>, Vec<f32>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let points = (0..count)
+        .map(|_| {
+            let (z, a) = (rng.random_range(-1.0f32..0.0), rng.random_range(0.0..std::f32::consts::TAU));
+            let (rho, bump) = ((1.0 - z * z).sqrt(), 1.0 + 0.1 * (5.0 * a).sin() * z);
+            [0.10 * bump * rho * a.cos(), 0.06 * bump * rho * a.sin(), 0.05 * bump * z + 0.7]
+        })
+        .collect();
+    let pixels = (config.image_size * config.image_size) as u32;
+    let choose = (0..count).map(|_| rng.random_range(0..pixels)).collect();
+    let rgb = (0..3 * pixels).map(|_| rng.random_range(-2.0..2.0)).collect();
+    (points, choose, rgb)
+}
+
+/// Largest resident memory of this process so far; known on Linux.
+fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()? / 1024)
+}
