@@ -37,7 +37,7 @@ pub(super) struct Arrangement {
 pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng) -> Arrangement {
     let [fewest, most] = config.objects_per_scene;
     let count = rng.count(fewest.max(1), most.max(1)).min(stock.objects.len());
-    let mut objects = draw(&stock.objects, count, rng);
+    let mut objects = draw_alike(&stock.objects, count, rng);
     let others = rng.count(config.distractors[0], config.distractors[1]).min(stock.distractors.len());
     objects.extend(draw(&stock.distractors, others, rng));
     let tumbling = rng.chance(config.tumbling);
@@ -68,18 +68,33 @@ pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng)
     let center = spots.iter().map(|s| s.0).sum::<Vector3<f32>>() / spots.len().max(1) as f32;
     let radius = spots.iter().map(|s| (s.0 - center).norm() + 0.7 * s.1).fold(0.05, f32::max);
     let top = spots.iter().map(|s| s.0.z + s.1).fold(0.0, f32::max);
+    let reach = spots.iter().map(|s| s.0.xy().norm() + s.1).fold(0.0, f32::max);
     let lights = lights(&center, &place, rng);
     let tint = tint(rng, 0.12);
     let sky = rng.log_between(0.08, 0.6);
     let ground = sky * rng.between(0.25, 0.7);
     let scene = Scene {
         objects: placed,
-        room: place.room(top, &stock.backgrounds, rng),
+        room: place.room(reach, top, &stock.backgrounds, rng),
         lights,
         sky: tint.map(|t| t * sky),
         ground: tint.map(|t| t * ground),
     };
     Arrangement { scene, obj_ids, place, center, radius }
+}
+
+/// Three quarters of the scenes have objects of similar size, so that none is lost beside the largest.
+fn draw_alike<'a>(from: &'a [SynthObject], count: usize, rng: &mut ChaCha8Rng) -> Vec<&'a SynthObject> {
+    let mut objects = draw(from, from.len(), rng);
+    if rng.chance(0.75) && count > 0 {
+        let size = |o: &SynthObject| Vector3::from(o.mesh.bounds().size()).norm();
+        let first = size(objects[0]);
+        let alike = |o: &SynthObject| (0.4..2.5).contains(&(size(o) / first));
+        // Stable: what is alike comes first, in the order drawn.
+        objects.sort_by_key(|o| !alike(o));
+    }
+    objects.truncate(count);
+    objects
 }
 
 fn draw<'a>(from: &'a [SynthObject], count: usize, rng: &mut ChaCha8Rng) -> Vec<&'a SynthObject> {

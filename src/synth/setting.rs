@@ -103,12 +103,12 @@ impl Place {
         }
     }
 
-    /// The room around it; `top` is how high the objects reach.
-    pub fn room(&self, top: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Room {
+    /// The room around it; `reach` is how far from the middle the objects reach, `top` how high.
+    pub fn room(&self, reach: f32, top: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Room {
         let floor_drop = rng.between(0.4, 0.9);
         let half = rng.between(2.0, 4.0);
         let mut blocks = match *self {
-            Place::Table => vec![table(backgrounds, rng)],
+            Place::Table => vec![table(reach, backgrounds, rng)],
             Place::Bin { half, height, thick } => bin(half, height, thick, backgrounds, rng),
             Place::Shelf { half, thick } => shelf(half, thick, top, backgrounds, rng),
         };
@@ -126,8 +126,9 @@ impl Place {
 
 const TABLE_THICKNESS: f32 = 0.03;
 
-fn table(backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Block {
-    let half = [rng.log_between(0.45, 1.4), rng.log_between(0.45, 1.4), 0.5 * TABLE_THICKNESS];
+fn table(reach: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Block {
+    let mut side = || rng.log_between(0.45, 1.4).max(reach);
+    let half = [side(), side(), 0.5 * TABLE_THICKNESS];
     let surface = backgrounds.material(320, [0.5, 1.2], 0.3, rng);
     let turn = rng.between(0.0, TAU).sin_cos().into();
     Block { center: Vector3::z() * (-0.5 * TABLE_THICKNESS), half, turn, surface, casts_shadow: false }
@@ -150,7 +151,7 @@ fn bin(
         false => backgrounds.material(160, [0.2, 0.8], 0.4, rng),
     };
     let (t, z) = (0.5 * thick, 0.5 * height);
-    let mut blocks = vec![table(backgrounds, rng)];
+    let mut blocks = vec![table(a.hypot(b) + thick, backgrounds, rng)];
     for sign in [-1.0, 1.0] {
         blocks.push(board([sign * (a + t), 0.0, z], [t, b + thick, z], &surface));
         blocks.push(board([0.0, sign * (b + t), z], [a, t, z], &surface));
@@ -196,8 +197,7 @@ fn furniture(
     backgrounds: &Backgrounds,
     rng: &mut ChaCha8Rng,
 ) {
-    let count = rng.count(0, 5);
-    for _ in 0..count {
+    for _ in 0..rng.count(0, 5) {
         let half = [rng.between(0.12, 0.6), rng.between(0.1, 0.4), rng.between(0.15, 0.8)];
         let (s, c) = rng.between(0.0, TAU).sin_cos();
         let distance = rng.between(1.5, room.max(1.6));
