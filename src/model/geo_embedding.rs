@@ -11,6 +11,7 @@ use super::init::Initializer;
 use crate::{
     config::{EmbeddingEvaluation, GeoEmbeddingConfig},
     device::is_host,
+    simd::vectorised,
 };
 
 /// `proj_d(s(distance)) + max over neighbours of proj_a(s(angle))`.
@@ -107,6 +108,7 @@ fn host_sinusoids(index: &[f32], width: usize) -> Vec<f32> {
 }
 
 /// Table rows below and above `x` and the weight of the latter.
+#[inline(always)]
 fn bracket(table: &[f32], width: usize, x: f32) -> (&[f32], &[f32], f32) {
     let position = x * STEPS_PER_UNIT;
     let low = position as usize;
@@ -119,9 +121,11 @@ fn interpolate_rows(table: &[f32], index: &[f32], width: usize) -> Vec<f32> {
     let mut rows = vec![0.0; index.len() * width];
     rows.par_chunks_exact_mut(width).with_min_len(1024).zip(index).for_each(|(row, &x)| {
         let (below, above, fraction) = bracket(table, width, x);
-        for ((value, &b), &a) in row.iter_mut().zip(below).zip(above) {
-            *value = b + (a - b) * fraction;
-        }
+        vectorised(|| {
+            for ((value, &b), &a) in row.iter_mut().zip(below).zip(above) {
+                *value = b + (a - b) * fraction;
+            }
+        });
     });
     rows
 }
@@ -139,17 +143,19 @@ fn interpolate_embedding(
     items.with_min_len(512).for_each_init(
         || vec![0.0f32; width],
         |largest, ((row, &distance), angles)| {
-            largest.fill(f32::NEG_INFINITY);
-            for &angle in angles {
-                let (below, above, fraction) = bracket(table_a, width, angle);
-                for ((value, &b), &a) in largest.iter_mut().zip(below).zip(above) {
-                    *value = value.max(b + (a - b) * fraction);
+            vectorised(|| {
+                largest.fill(f32::NEG_INFINITY);
+                for &angle in angles {
+                    let (below, above, fraction) = bracket(table_a, width, angle);
+                    for ((value, &b), &a) in largest.iter_mut().zip(below).zip(above) {
+                        *value = value.max(b + (a - b) * fraction);
+                    }
                 }
-            }
-            let (below, above, fraction) = bracket(table_d, width, distance);
-            for (((value, &b), &a), &angle) in row.iter_mut().zip(below).zip(above).zip(&*largest) {
-                *value = b + (a - b) * fraction + angle;
-            }
+                let (below, above, fraction) = bracket(table_d, width, distance);
+                for (((value, &b), &a), &angle) in row.iter_mut().zip(below).zip(above).zip(&*largest) {
+                    *value = b + (a - b) * fraction + angle;
+                }
+            });
         },
     );
     rows
