@@ -175,9 +175,10 @@ fn positional_encoding_matches_in_training() {
         let module = PositionalEncoding::new(&config, &mut Initializer::new(0, device));
         f.weights(module, "w.")
     };
-    let stored = [0, 1].map(|scale| GroupTensors {
-        features: f.tensor::<4>(&format!("group{}", scale + 1)).permute([0, 2, 3, 1]),
-        mask: None,
+    let stored = [0, 1].map(|scale| {
+        let features = f.tensor::<4>(&format!("group{}", scale + 1)).permute([0, 2, 3, 1]);
+        let [batch, n, k, _] = features.dims();
+        GroupTensors { features, counts: vec![k as u32; batch * n], mask: None }
     });
     // The stored running statistics are those after the training pass, so the stored evaluation cannot be repeated with them;
     // evaluation is covered by the whole chain.

@@ -54,9 +54,9 @@ impl RowBatchNorm {
             Some(mask) => mask.clone().inner().sum_dim(0),
         };
         let moments = row_moments(x.clone(), rows_mask);
-        let input_mean = moments.clone().slice([inputs..inputs + 1]); // [1, C_in]
+        let input_mean = moments.clone().narrow(0, inputs, 1); // [1, C_in]
         let covariance =
-            moments.slice([0..inputs]) - input_mean.clone().transpose().matmul(input_mean.clone());
+            moments.narrow(0, 0, inputs) - input_mean.clone().transpose().matmul(input_mean.clone());
         let mean = input_mean.matmul(weight.clone()).squeeze_dim::<1>(0);
         let variance = (weight.clone() * covariance.matmul(weight.clone())).sum_dim(0).clamp_min(0.0);
         let variance = variance.squeeze_dim::<1>(0);

@@ -113,24 +113,24 @@ impl<T: Copy> Tile<'_, T> {
     #[inline(always)]
     fn add<S: Simd<f32s = T>, const V: usize, const R: usize>(&self, simd: S, out: &mut [T]) -> usize {
         let mut sums = [[simd.splat_f32s(0.0); V]; R];
-        for r in 0..R {
+        for (r, sums) in sums.iter_mut().enumerate() {
             let at = (self.row + r) * self.stride + self.start;
-            sums[r].copy_from_slice(&out[at..at + V]);
+            sums.copy_from_slice(&out[at..at + V]);
         }
         let mut at = self.row * self.left.row;
         for right in self.right.chunks_exact(self.stride) {
             let right = &right[self.start..self.start + V];
-            for r in 0..R {
+            for (r, sums) in sums.iter_mut().enumerate() {
                 let a = simd.splat_f32s(self.left.values[at + r * self.left.row]);
-                for v in 0..V {
-                    sums[r][v] = simd.mul_add_e_f32s(a, right[v], sums[r][v]);
+                for (sum, &b) in sums.iter_mut().zip(right) {
+                    *sum = simd.mul_add_e_f32s(a, b, *sum);
                 }
             }
             at += self.left.inner;
         }
-        for r in 0..R {
+        for (r, sums) in sums.iter().enumerate() {
             let at = (self.row + r) * self.stride + self.start;
-            out[at..at + V].copy_from_slice(&sums[r]);
+            out[at..at + V].copy_from_slice(sums);
         }
         V
     }

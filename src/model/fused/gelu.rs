@@ -1,8 +1,8 @@
 //! GELU in place where nobody else holds the tensor.
 
 use burn::{
-    backend::Flex,
-    tensor::{DType, Tensor},
+    backend::{Flex, flex::FlexTensor},
+    tensor::{DType, Shape, Tensor},
 };
 use rayon::prelude::*;
 
@@ -11,14 +11,15 @@ use crate::simd;
 /// Values per parallel task.
 const RUN: usize = 1 << 14;
 
-/// `Err` gives the tensor back: it is on the tape, on another backend or of another number type.
-pub fn gelu<const D: usize>(x: Tensor<D>) -> Result<Tensor<D>, Tensor<D>> {
+/// Replaces `x`; false leaves it as it is: on the tape, on another backend or of another number type.
+pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> bool {
     let count = x.shape().num_elements();
-    let Ok(mut values) = x.clone().try_into_primitive::<Flex>() else { return Err(x) };
+    let Ok(mut values) = x.clone().try_into_primitive::<Flex>() else { return false };
     if values.dtype() != DType::F32 {
-        return Err(x);
+        return false;
     }
-    drop(x);
+    // Only the last holder of the values may write to them: `x` lets go.
+    *x = Tensor::from_primitive::<Flex>(FlexTensor::empty(Shape::from([0; D]), DType::F32));
     if !values.is_contiguous() || values.bytes().len() != 4 * count {
         values = values.to_contiguous();
     }
@@ -26,5 +27,6 @@ pub fn gelu<const D: usize>(x: Tensor<D>) -> Result<Tensor<D>, Tensor<D>> {
         .storage_mut::<f32>()
         .par_chunks_mut(RUN)
         .for_each(|run| simd::vectorised(|| run.iter_mut().for_each(|x| *x = simd::gelu(*x))));
-    Ok(Tensor::from_primitive::<Flex>(values))
+    *x = Tensor::from_primitive::<Flex>(values);
+    true
 }

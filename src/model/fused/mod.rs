@@ -82,9 +82,12 @@ pub fn row_moments(x: Tensor<2>, weights: Option<Tensor<2>>) -> Tensor<2> {
 /// [`activation::gelu`], exact (erf) form.
 pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     #[cfg(feature = "flex")]
-    let x = match gelu::gelu(x) {
-        Ok(y) => return y,
-        Err(x) => x,
+    let x = {
+        let mut x = x;
+        if gelu::gelu(&mut x) {
+            return x;
+        }
+        x
     };
     activation::gelu(x)
 }

@@ -71,7 +71,7 @@ fn largest_with_row(maxima: &mut [f32], winners: &mut [u32], y: &[f32], first: u
     for (row, y) in (first..).zip(y.chunks_exact(maxima.len())) {
         for ((best, winner), &y) in maxima.iter_mut().zip(winners.iter_mut()).zip(y) {
             // NaN wins.
-            let better = !(y <= *best);
+            let better = y > *best || y.is_nan();
             *best = if better { y } else { *best };
             *winner = if better { row } else { *winner };
         }

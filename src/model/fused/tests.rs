@@ -92,7 +92,7 @@ fn moments_equal_their_plain_form() {
     close(row_moments(x.clone(), Some(weights.clone())), expected.clone(), 1e-6, "off the tape");
     close(y, expected, 1e-6, "value");
     close(dx, expected_dx, 1e-6, "gradient");
-    let all = row_moments(x.clone(), None).slice([7..8]);
+    let all = row_moments(x.clone(), None).narrow(0, 7, 1);
     close(all, x.mean_dim(0), 1e-6, "mean of all rows");
 }
 

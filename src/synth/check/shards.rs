@@ -69,7 +69,7 @@ fn check_shard(
     if keys.is_empty() && shard.problems().is_empty() {
         part.add([Finding::new(path.display(), format!("no images in {} bytes", part.bytes))]);
     }
-    let checked: Vec<Option<(Result<usize, FormatError>, Vec<Finding>, Statistics)>> = keys
+    let checked: Vec<Option<CheckedKey>> = keys
         .par_iter()
         .enumerate()
         .map(|(at, key)| at.is_multiple_of(step).then(|| check_key(shard, path, key, models)))
@@ -97,12 +97,10 @@ fn check_shard(
     part
 }
 
-fn check_key(
-    shard: &ShardFile,
-    path: &Path,
-    key: &str,
-    models: &Models,
-) -> (Result<usize, FormatError>, Vec<Finding>, Statistics) {
+/// Instances of an image, or why it has none; what is wrong with it; its distributions.
+type CheckedKey = (Result<usize, FormatError>, Vec<Finding>, Statistics);
+
+fn check_key(shard: &ShardFile, path: &Path, key: &str, models: &Models) -> CheckedKey {
     let (mut statistics, place) = (Statistics::default(), format!("{}: {key}", path.display()));
     let read = shard.read(key).and_then(|(annotated, records)| {
         let frame = annotated.frame;
