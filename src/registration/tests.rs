@@ -66,7 +66,7 @@ fn every_method_finds_the_motion_in_both_directions() {
             };
             let (shift, turn) = error(&found);
             assert!(shift < 0.01 && turn < 9.0, "{}: {shift} m {turn} deg", method.name());
-            assert!(score > 0.6, "{}: {score}", method.name());
+            assert!(score > 0.5, "{}: {score}", method.name());
             for refinement in [Refinement::Icp, Refinement::Gicp] {
                 let (shift, turn) = error(&refinement.apply(query, reference, &found));
                 // The noise of 0.7 mm over 0.14 m and the normals rounded at the edges leave about a degree, and three
