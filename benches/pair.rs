@@ -15,7 +15,7 @@ use unopose::{
     data::{CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points},
     device::{DeviceChoice, keep_freed_memory},
     geometry::{coarse_pose, fine_pose, match_assignment},
-    infer::{EncodedReferences, Uniforms, encode_references, estimate_encoded, estimate_pairs},
+    infer::{CloudPair, EncodedReferences, Uniforms, encode_references, estimate_encoded, estimate_pairs},
     model::{CloudTensors, Supervision, UnoPose, group_tensors},
 };
 
@@ -96,7 +96,14 @@ fn main() -> anyhow::Result<()> {
     let (query, reference) = pair(&config, 0);
     let encoded = encode_references(&model, &config, &[&reference], &device);
     let again = |query: &CloudInput, reference: &PreparedReference, encoded: &EncodedReferences| {
-        estimate_encoded(&model, &config, &[(query, reference)], encoded, Uniforms::Shared(0), &device)
+        estimate_encoded(
+            &model,
+            &config,
+            &[CloudPair::new(query, reference)],
+            encoded,
+            Uniforms::Shared(0),
+            &device,
+        )
     };
     bench.row("**pair, cached reference**", || again(&query, &reference, &encoded));
     bench.row("**whole pair**", || {

@@ -94,6 +94,22 @@ fn run(arguments: impl IntoIterator<Item = String>) -> Output {
 }
 
 #[test]
+fn a_kept_reference_replaces_its_images() {
+    let files = Files::new();
+    let kept = files.at("object.safetensors").display().to_string();
+    let output = files.estimate(&[], &["--save-reference", &kept]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let first: serde_json::Value = read_json(&files.at("out/pose.json")).unwrap();
+    let no_images = [("--reference-rgb", ""), ("--reference-depth", ""), ("--reference-mask", "")];
+    let output = files.estimate(&no_images, &["--reference", &kept]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let second: serde_json::Value = read_json(&files.at("out/pose.json")).unwrap();
+    for key in ["T_query_reference", "score"] {
+        assert_eq!(first[key], second[key]);
+    }
+}
+
+#[test]
 fn estimate_writes_poses_and_overlays() {
     let files = Files::new();
     let second = files.at("query/mask/a_1.png").display().to_string();

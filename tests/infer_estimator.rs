@@ -4,8 +4,10 @@ mod ellipsoid_views;
 
 use std::{fmt::Write, path::Path};
 
+use burn::tensor::TensorData;
 use ellipsoid_views::{EllipsoidViews, HALF_AXES};
 use unopose::{
+    checkpoint::TensorFile,
     config::Config,
     device::DeviceChoice,
     eval::{score_poses, write_poses},
@@ -36,6 +38,36 @@ fn bits(estimate: &Estimate) -> Vec<u64> {
     let pose = &estimate.t_query_reference;
     let numbers = pose.rotation.iter().chain(&pose.translation).chain([&estimate.score, &estimate.matched]);
     numbers.map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn a_kept_reference_gives_the_same_pose_and_is_refused_by_another_network() {
+    let views = EllipsoidViews::new(2, 1);
+    let [query, other] = [&views.frames[0], &views.frames[1]];
+    let estimator = estimator(7).with_refinement(Refinement::Icp);
+    let reference = estimator.reference(&other.frame, &other.instances[0].mask_visib).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.safetensors");
+    estimator.save_reference(&reference, &path).unwrap();
+    let kept = estimator.load_reference(&path).unwrap();
+    let masks = std::slice::from_ref(&query.instances[0].mask_visib);
+    let pose = |reference| bits(estimator.estimate(reference, &query.frame, masks)[0].as_ref().unwrap());
+    assert_eq!(pose(&kept), pose(&reference));
+    assert_eq!((kept.points(), kept.radius()), (reference.points(), reference.radius()));
+
+    let (device, _) = DeviceChoice::Auto.open().unwrap();
+    let config = Config::embedded("smoke", &[]).unwrap();
+    let retrained = UnoPose::new(&config.model, 4, &device);
+    let retrained = PoseEstimator::from_model(retrained, config.model, device);
+    let message = retrained.load_reference(&path).err().unwrap().to_string();
+    assert!(message.contains("kept.safetensors: network is"), "{message}");
+
+    let mut file = TensorFile::read(&path).unwrap();
+    let wrong = TensorData::new(vec![0.5f32; 96], [96]);
+    file.tensors.insert("choose".into(), wrong);
+    file.write(&path).unwrap();
+    let message = estimator.load_reference(&path).err().unwrap().to_string();
+    assert!(message.contains("choose is 0.5, expected whole numbers below 1024"), "{message}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use clap::Parser;
 use unopose::{
     config::Config,
     device::{DeviceChoice, keep_freed_memory},
-    report::Table,
+    report::{Table, explain},
     train::{Ending, Interrupt, TrainOptions, TrainOutcome, train},
 };
 
@@ -68,19 +68,10 @@ fn main() -> ExitCode {
     match run(Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", explain(&error));
+            eprintln!("error: {}", explain(error.as_ref()));
             ExitCode::FAILURE
         }
     }
-}
-
-/// The message and those causes that it does not contain already.
-fn explain(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        known if known.contains(&cause) => text,
-        _ => format!("{text}: {cause}"),
-    })
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {

@@ -27,6 +27,8 @@ pub enum InferError {
         looked.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")
     )]
     NoCheckpoint { looked: Vec<PathBuf> },
+    #[error("{}: {field} is {value}, expected {expected}", path.display())]
+    ReferenceFile { path: PathBuf, field: String, value: String, expected: String },
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     #[error(transparent)]

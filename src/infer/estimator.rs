@@ -6,23 +6,23 @@ use std::{
     time::Instant,
 };
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor, TensorData};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    EncodedReferences, InferError, PairEstimate, Reference, Refinement, StageTimes, Uniforms,
+    CloudPair, EncodedReferences, InferError, PairEstimate, Reference, Refinement, StageTimes, Uniforms,
     encode_references, estimate_encoded,
 };
 use crate::{
     checkpoint,
     config::ModelConfig,
-    data::{CloudInput, PreparedReference, prepare_query, prepare_reference},
+    data::{CloudInput, prepare_query, prepare_reference},
     device::DeviceChoice,
     frame::{Mask, RgbdFrame},
-    geometry::Pose,
+    geometry::{Pose, StructureIndices},
     model::UnoPose,
     registration::icp::refine_with,
 };
@@ -54,6 +54,8 @@ pub struct PoseEstimator {
     source: String,
     seed: u64,
     refinement: Refinement,
+    /// See [`PoseEstimator::network`].
+    network: OnceLock<String>,
 }
 
 /// A query instance and the reference it is compared with.
@@ -134,7 +136,8 @@ impl PoseEstimator {
         backend: DeviceChoice,
         source: String,
     ) -> Self {
-        Self { model, config, device, backend, source, seed: 0, refinement: Refinement::None }
+        let refinement = Refinement::None;
+        Self { model, config, device, backend, source, seed: 0, refinement, network: OnceLock::new() }
     }
 
     /// Seed of point sampling and hypotheses, 0 at first.
@@ -171,6 +174,33 @@ impl PoseEstimator {
         self.backend
     }
 
+    /// Checksums of the weights and of the configuration: equal for equal networks, wherever they come from.
+    pub fn network(&self) -> Result<&str, InferError> {
+        if let Some(network) = self.network.get() {
+            return Ok(network);
+        }
+        let mut weights = crc32fast::Hasher::new();
+        for (name, data) in checkpoint::official_tensors(&self.model)? {
+            weights.update(name.as_bytes());
+            weights.update(data.as_bytes());
+        }
+        let config = serde_json::to_string(&self.config).unwrap_or_default();
+        let network = format!("{:08x}-{:08x}", weights.finalize(), crc32fast::hash(config.as_bytes()));
+        Ok(self.network.get_or_init(|| network))
+    }
+
+    /// Values on the estimator's device.
+    pub(super) fn tensor<const D: usize>(&self, values: Vec<f32>, shape: [usize; D]) -> Tensor<D> {
+        Tensor::from_data(TensorData::new(values, shape), &self.device)
+    }
+
+    /// The structure embedding of one cloud, `[1, 1 + M, 1 + M, C]`.
+    pub(super) fn embedding(&self, structure: &StructureIndices) -> Tensor<4> {
+        let &StructureIndices { size, k, ref distances, ref angles } = structure;
+        let distances = self.tensor(distances.clone(), [1, size, size]);
+        self.model.geo_embedding.forward(distances, self.tensor(angles.clone(), [1, size, size, k]))
+    }
+
     /// Prepares and encodes a reference view of an object.
     pub fn reference(&self, frame: &RgbdFrame, mask: &Mask) -> Result<Reference, InferError> {
         let start = Instant::now();
@@ -179,7 +209,8 @@ impl PoseEstimator {
             prepare_reference(frame, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
         let encoded = encode_references(&self.model, &self.config, &[&prepared], &self.device);
         let reference = Reference {
-            prepared,
+            cloud: prepared.cloud,
+            radius: prepared.radius,
             encoded,
             points: frame.masked_points(mask),
             surface: OnceLock::new(),
@@ -227,14 +258,20 @@ impl PoseEstimator {
     fn prepare(&self, query: &Query<'_>) -> Result<(CloudInput, f64), InferError> {
         let start = Instant::now();
         let mut rng = self.stream(QUERY_STREAM);
-        let radius = query.reference.prepared.radius;
+        let radius = query.reference.radius;
         let cloud = prepare_query(query.frame, query.mask, radius, &self.config, &mut rng);
         Ok((cloud.map_err(InferError::Query)?, start.elapsed().as_secs_f64()))
     }
 
     fn estimate_chunk(&self, chunk: &[(&Query<'_>, &CloudInput, f64)]) -> Vec<Result<Estimate, InferError>> {
-        let pairs: Vec<(&CloudInput, &PreparedReference)> =
-            chunk.iter().map(|(query, cloud, _)| (*cloud, &query.reference.prepared)).collect();
+        let pairs: Vec<CloudPair<'_>> = chunk
+            .iter()
+            .map(|(query, cloud, _)| CloudPair {
+                query: cloud,
+                reference: &query.reference.cloud,
+                radius: query.reference.radius,
+            })
+            .collect();
         let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
         let Some(references) = EncodedReferences::batch(&references) else { return Vec::new() };
         let uniforms = Uniforms::Shared(self.seed);

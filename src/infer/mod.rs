@@ -11,6 +11,7 @@ mod estimator;
 mod one_pair;
 mod pairs;
 mod reference;
+mod reference_file;
 mod target_list;
 mod target_references;
 mod targets;
@@ -20,7 +21,7 @@ pub use assignments::{Matched, host_assignments};
 pub use error::InferError;
 pub use estimator::{Estimate, PoseEstimator, Query, Timings};
 pub use pairs::{
-    EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
+    CloudPair, EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
     estimate_pairs,
 };
 pub use reference::Reference;

@@ -1,10 +1,6 @@
 //! The network behind the interface that it shares with classical registration.
 
-use std::{
-    hash::{DefaultHasher, Hash, Hasher},
-    path::Path,
-    time::Instant,
-};
+use std::time::Instant;
 
 use super::{InferError, PoseEstimator};
 use crate::registration::{MaskedView, PairEstimator, PairPose, RegistrationError};
@@ -18,15 +14,10 @@ impl PairEstimator for PoseEstimator {
         }
     }
 
-    /// Of the file of the weights; of the program itself when they are compiled in.
+    /// Of the network, the seed and the refinement.
     fn fingerprint(&self) -> String {
-        let source = Path::new(self.source());
-        let program = std::env::current_exe().unwrap_or_default();
-        let file = if source.is_file() { source } else { &program };
-        let mut hasher = DefaultHasher::new();
-        std::fs::read(file).unwrap_or_default().hash(&mut hasher);
-        let config = serde_json::to_string(self.config()).unwrap_or_default();
-        format!("{:016x} seed {} {:?} {config}", hasher.finish(), self.seed(), self.refinement().settings())
+        let network = self.network().unwrap_or_default();
+        format!("{network} seed {} {:?}", self.seed(), self.refinement().settings())
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {

@@ -69,9 +69,24 @@ impl StageTimes {
 /// What the network computes of a reference (or a batch of them) without a query, on the device.
 #[derive(Clone, Debug)]
 pub struct EncodedReferences {
-    features: CloudFeatures,
+    pub(super) features: CloudFeatures,
     /// Positional encoding `[B, N, C]`, absent without a fine stage.
-    position: Option<Tensor<3>>,
+    pub(super) position: Option<Tensor<3>>,
+}
+
+/// A query's cloud and the reference's, both in units of the reference's radius.
+#[derive(Clone, Copy, Debug)]
+pub struct CloudPair<'a> {
+    pub query: &'a CloudInput,
+    pub reference: &'a CloudInput,
+    /// The reference's, metres.
+    pub radius: f32,
+}
+
+impl<'a> CloudPair<'a> {
+    pub fn new(query: &'a CloudInput, reference: &'a PreparedReference) -> Self {
+        Self { query, reference: &reference.cloud, radius: reference.radius }
+    }
 }
 
 /// Where the uniform numbers that sample the hypotheses come from.
@@ -158,14 +173,15 @@ pub fn estimate_pairs(
 ) -> Result<Vec<PairEstimate>, InferError> {
     let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
     let encoded = encode_references(model, config, &references, device);
-    Ok(estimate_encoded(model, config, pairs, &encoded, uniforms, device)?.0)
+    let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
+    Ok(estimate_encoded(model, config, &pairs, &encoded, uniforms, device)?.0)
 }
 
 /// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
 pub fn estimate_encoded(
     model: &UnoPose,
     config: &ModelConfig,
-    pairs: &[(&CloudInput, &PreparedReference)],
+    pairs: &[CloudPair<'_>],
     references: &EncodedReferences,
     uniforms: Uniforms<'_>,
     device: &Device,
@@ -176,10 +192,10 @@ pub fn estimate_encoded(
     if pairs.is_empty() {
         return Ok((Vec::new(), times));
     }
-    let queries: Vec<&CloudInput> = pairs.iter().map(|p| p.0).collect();
+    let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
     let query = CloudTensors::from_clouds(&queries, config, device);
     let query_features = model.encode(&query);
-    let clouds: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
+    let clouds: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
     let reference = CloudTensors::from_clouds(&clouds, config, device);
     times.encode = lap();
 
@@ -195,14 +211,14 @@ pub fn estimate_encoded(
         .par_iter()
         .zip(&coarse)
         .enumerate()
-        .map(|(index, ((query, reference), matched))| {
+        .map(|(index, (pair, matched))| {
             let sparse = |cloud: &CloudInput| -> Vec<[f32; 3]> {
                 cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
             };
             coarse_pose(
                 &matched.assignment,
-                &sparse(query),
-                &sparse(&reference.cloud),
+                &sparse(pair.query),
+                &sparse(pair.reference),
                 &config.hypotheses,
                 uniforms.stream(index),
                 config.quirks.degenerate_triplets,
@@ -216,10 +232,10 @@ pub fn estimate_encoded(
             let groups: Vec<_> = pairs
                 .par_iter()
                 .zip(&initial)
-                .map(|((query, _), coarse)| {
+                .map(|(pair, coarse)| {
                     let t_reference_query = coarse.pose.inverse();
                     let moved: Vec<[f32; 3]> =
-                        query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
+                        pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
                     positional_groups(&moved, config)
                 })
                 .collect();
@@ -238,14 +254,13 @@ pub fn estimate_encoded(
     let estimates = pairs
         .par_iter()
         .enumerate()
-        .map(|(index, (query, reference))| {
-            let metric =
-                |pose: &Pose| metric_pose(pose, query.center, reference.cloud.center, reference.radius);
+        .map(|(index, &CloudPair { query, reference, radius })| {
+            let metric = |pose: &Pose| metric_pose(pose, query.center, reference.center, radius);
             let coarse_pose = &initial[index];
             let matched = fine.as_ref().map_or(&coarse[index], |fine| &fine[index]);
             let (pose, score) = match &fine {
                 Some(_) => {
-                    let solved = fine_pose(&matched.assignment, &query.points, &reference.cloud.points);
+                    let solved = fine_pose(&matched.assignment, &query.points, &reference.points);
                     (solved.pose, solved.score)
                 }
                 None => (coarse_pose.pose, coarse_confidence(query, reference, &coarse_pose.pose, matched)),
@@ -266,16 +281,11 @@ pub fn estimate_encoded(
 }
 
 /// The fine stage's confidence (section 6) on the coarse matches.
-fn coarse_confidence(
-    query: &CloudInput,
-    reference: &PreparedReference,
-    pose: &Pose,
-    matched: &Matched,
-) -> f64 {
+fn coarse_confidence(query: &CloudInput, reference: &CloudInput, pose: &Pose, matched: &Matched) -> f64 {
     let t_reference_query = pose.inverse();
     let moved: Vec<[f32; 3]> =
         query.sparse.iter().map(|&i| t_reference_query.transform_f32(&query.points[i as usize])).collect();
-    let distances = crate::geometry::nearest_distances(&moved, &reference.cloud.points);
+    let distances = crate::geometry::nearest_distances(&moved, &reference.points);
     let foreground = matched.assignment.foreground_query();
     let total: f64 = foreground.iter().map(|&f| f as f64).sum();
     let near: f64 =

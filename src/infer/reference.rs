@@ -6,11 +6,12 @@ use std::{
 };
 
 use super::{EncodedReferences, IcpReference};
-use crate::data::PreparedReference;
+use crate::data::CloudInput;
 
 /// A reference view, prepared and encoded once for any number of queries.
 pub struct Reference {
-    pub(super) prepared: PreparedReference,
+    pub(super) cloud: CloudInput,
+    pub(super) radius: f32,
     pub(super) encoded: EncodedReferences,
     pub(super) points: Vec<[f32; 3]>,
     pub(super) surface: OnceLock<Option<IcpReference>>,
@@ -30,7 +31,7 @@ impl Reference {
 
     /// Largest distance of the sampled points to their mean, metres.
     pub fn radius(&self) -> f32 {
-        self.prepared.radius
+        self.radius
     }
 
     /// Seconds its preparation took.
@@ -40,7 +41,9 @@ impl Reference {
 
     /// About the memory that keeping it takes.
     pub fn bytes(&self) -> usize {
-        self.encoded.bytes() + 12 * self.points.len() + 4 * self.prepared.cloud.structure.angles.len()
+        self.encoded.bytes()
+            + 12 * (self.points.len() + self.cloud.points.len())
+            + 4 * (self.cloud.rgb.len() + self.cloud.structure.angles.len())
     }
 }
 

@@ -10,7 +10,7 @@ use unopose::{
     formats::files::write_json,
     geometry::Pose,
     infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder},
-    report::overlay,
+    report::{explain, overlay},
 };
 
 use super::{options::EstimatorOptions, progress::Progress};
@@ -41,14 +41,20 @@ pub struct EstimateArguments {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
     query_dir: Option<PathBuf>,
     /// Colour image of the reference
-    #[arg(long, value_name = "FILE")]
-    reference_rgb: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_rgb: Option<PathBuf>,
     /// Depth image of the reference
-    #[arg(long, value_name = "FILE")]
-    reference_depth: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_depth: Option<PathBuf>,
     /// Mask of the object in the reference
-    #[arg(long, value_name = "FILE")]
-    reference_mask: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_mask: Option<PathBuf>,
+    /// A reference kept by --save-reference, instead of its images
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reference_rgb", "reference_depth", "reference_mask", "reference_camera"])]
+    reference: Option<PathBuf>,
+    /// Keep the prepared and encoded reference for later queries
+    #[arg(long, value_name = "FILE", conflicts_with = "reference")]
+    save_reference: Option<PathBuf>,
     /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
     #[arg(long, value_name = "JSON")]
     camera: PathBuf,
@@ -64,16 +70,8 @@ pub struct EstimateArguments {
 
 pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let queries = queries(arguments)?;
-    let reference_files = ViewFiles {
-        rgb: arguments.reference_rgb.clone(),
-        depth: arguments.reference_depth.clone(),
-        masks: vec![arguments.reference_mask.clone()],
-        camera: arguments.reference_camera.clone().unwrap_or_else(|| arguments.camera.clone()),
-    };
-    let view = reference_files.read()?;
     let estimator = arguments.estimator.estimator()?;
-    let mask = view.masks.first().context("no reference mask")?;
-    let reference = estimator.reference(&view.frame, mask).with_context(|| place(&reference_files, 0))?;
+    let reference = reference(arguments, &estimator)?;
 
     let progress = Progress::new("estimating");
     let mut failed = Vec::new();
@@ -85,7 +83,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
             if queries.len() == 1 {
                 return Err(error);
             }
-            eprintln!("{}: {error:#}", files.rgb.display());
+            eprintln!("{}: {}", files.rgb.display(), explain(error.as_ref()));
             failed.push(files.rgb.display().to_string());
         }
     }
@@ -94,6 +92,26 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
         bail!("{} of {} queries have no pose: {}", failed.len(), queries.len(), failed.join(", "));
     }
     Ok(())
+}
+
+/// The kept reference, or the one in the images.
+fn reference(arguments: &EstimateArguments, estimator: &PoseEstimator) -> anyhow::Result<Reference> {
+    if let Some(kept) = &arguments.reference {
+        return Ok(estimator.load_reference(kept)?);
+    }
+    let files = ViewFiles {
+        rgb: arguments.reference_rgb.clone().context("--reference-rgb is missing")?,
+        depth: arguments.reference_depth.clone().context("--reference-depth is missing")?,
+        masks: arguments.reference_mask.iter().cloned().collect(),
+        camera: arguments.reference_camera.clone().unwrap_or_else(|| arguments.camera.clone()),
+    };
+    let view = files.read()?;
+    let mask = view.masks.first().context("--reference-mask is missing")?;
+    let reference = estimator.reference(&view.frame, mask).with_context(|| place(&files, 0))?;
+    if let Some(path) = &arguments.save_reference {
+        estimator.save_reference(&reference, path)?;
+    }
+    Ok(reference)
 }
 
 /// Names (of a folder's views) and files.

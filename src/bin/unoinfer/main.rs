@@ -53,7 +53,7 @@ fn main() -> std::process::ExitCode {
     match done {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", unopose::report::explain(error.as_ref()));
             std::process::ExitCode::FAILURE
         }
     }
