@@ -114,6 +114,9 @@ pub struct HypothesisConfig {
     pub kept: usize,
     /// Exponent of the assignment when sampling.
     pub power: f32,
+    /// Hypotheses, turned against each other, that the fine stage starts from; the pose with the best score is taken. The
+    /// release has 1.
+    pub starts: usize,
 }
 
 impl Default for ModelConfig {
@@ -170,6 +173,6 @@ impl Default for FineConfig {
 
 impl Default for HypothesisConfig {
     fn default() -> Self {
-        Self { proposals: 6000, kept: 300, power: 1.5 }
+        Self { proposals: 6000, kept: 300, power: 1.5, starts: 1 }
     }
 }

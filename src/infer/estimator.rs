@@ -13,13 +13,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    EncodedReferences, InferError, PairEstimate, Reference, Refinement, StageTimes, Uniforms,
-    encode_references, estimate_encoded,
+    Calibration, Confidence, EncodedReferences, Evidence, InferError, PairEstimate, PairTrace, Reference,
+    Refinement, StageTimes, Uniforms, encode_references, trace_encoded,
 };
 use crate::{
     checkpoint,
     config::ModelConfig,
-    data::{CloudInput, PreparedReference, prepare_query, prepare_reference},
+    data::{CloudInput, PreparedReference, normalised_pose, prepare_query, prepare_reference},
     device::DeviceChoice,
     frame::{Mask, RgbdFrame},
     geometry::Pose,
@@ -54,6 +54,9 @@ pub struct PoseEstimator {
     source: String,
     seed: u64,
     refinement: Refinement,
+    calibration: Option<Calibration>,
+    /// Replaces the calibration's threshold.
+    min_confidence: Option<f64>,
 }
 
 /// A query instance and the reference it is compared with.
@@ -69,8 +72,13 @@ pub struct Query<'a> {
 pub struct Estimate {
     /// Reference camera to query camera, metres.
     pub t_query_reference: Pose,
-    /// Confidence in [0, 1]: share of the query's points that are matched and lie on the reference.
+    /// BOP score in [0, 1]: share of the query's points that are matched and lie on the reference.
     pub score: f64,
+    /// Calibrated probability that the pose is right, with reasons where it is low; `None` when the checkpoint has no
+    /// calibration.
+    pub confidence: Option<Confidence>,
+    /// What the confidence is made of.
+    pub evidence: Evidence,
     /// Predicted share of the query's points that the reference sees, and of the reference's that the query sees.
     pub overlap: [f64; 2],
     /// Share of the query's points matched to a reference point.
@@ -80,6 +88,14 @@ pub struct Estimate {
     /// Whether a refinement replaced the network's pose.
     pub refined: bool,
     pub timings: Timings,
+}
+
+/// An estimate with the way to it.
+pub struct Trace {
+    pub estimate: Estimate,
+    pub stages: PairTrace,
+    /// The query as the network sees it.
+    pub cloud: CloudInput,
 }
 
 /// Seconds per instance; what a batch shares is divided evenly.
@@ -97,8 +113,10 @@ impl PoseEstimator {
     /// The network of a checkpoint, with the configuration inside it.
     pub fn load(path: &Path, device: DeviceChoice) -> Result<Self, InferError> {
         let (device, backend) = device.open()?;
-        let (model, config, _) = checkpoint::load(path, &device)?;
-        Ok(Self::new(model, config.model, device, backend, path.display().to_string()))
+        let (model, config, meta) = checkpoint::load(path, &device)?;
+        let calibration = Calibration::from_metadata(&meta.extra, path)?;
+        let estimator = Self::new(model, config.model, device, backend, path.display().to_string());
+        Ok(Self { calibration, ..estimator })
     }
 
     /// The network that is compiled in; an error in builds without one.
@@ -106,8 +124,9 @@ impl PoseEstimator {
         let bytes = EMBEDDED.ok_or(InferError::NoCheckpoint { looked: Vec::new() })?;
         let (device, backend) = device.open()?;
         let name = format!("embedded {DEFAULT_CHECKPOINT}");
-        let (model, config, _) = checkpoint::load_bytes(bytes, &name, &device)?;
-        Ok(Self::new(model, config.model, device, backend, name))
+        let (model, config, meta) = checkpoint::load_bytes(bytes, &name, &device)?;
+        let calibration = Calibration::from_metadata(&meta.extra, Path::new(&name))?;
+        Ok(Self { calibration, ..Self::new(model, config.model, device, backend, name) })
     }
 
     /// `checkpoints/geo.safetensors` beside the binary, else in the working directory, else the embedded one.
@@ -134,7 +153,15 @@ impl PoseEstimator {
         backend: DeviceChoice,
         source: String,
     ) -> Self {
-        Self { model, config, device, backend, source, seed: 0, refinement: Refinement::None }
+        let (refinement, calibration, min_confidence) = (Refinement::None, None, None);
+        Self { model, config, device, backend, source, seed: 0, refinement, calibration, min_confidence }
+    }
+
+    /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
+    pub fn untrained(self, seed: u64) -> Self {
+        let model = UnoPose::new(&self.config, seed, &self.device);
+        let source = format!("untrained network of {}", self.source);
+        Self { model, source, calibration: None, ..self }
     }
 
     /// Seed of point sampling and hypotheses, 0 at first.
@@ -149,8 +176,24 @@ impl PoseEstimator {
         self
     }
 
+    /// The calibration of the confidence, at first the checkpoint's.
+    pub fn with_calibration(mut self, calibration: Option<Calibration>) -> Self {
+        self.calibration = calibration;
+        self
+    }
+
+    /// Probability below which an estimate is not confident, at first the calibration's.
+    pub fn with_min_confidence(mut self, min_confidence: Option<f64>) -> Self {
+        self.min_confidence = min_confidence;
+        self
+    }
+
     pub fn config(&self) -> &ModelConfig {
         &self.config
+    }
+
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_ref()
     }
 
     pub fn refinement(&self) -> Refinement {
@@ -224,6 +267,27 @@ impl PoseEstimator {
             .collect()
     }
 
+    /// One instance with everything that led to its pose.
+    pub fn trace(&self, query: &Query<'_>) -> Result<Trace, InferError> {
+        let (cloud, prepare) = self.prepare(query)?;
+        let (mut traces, times) = self.run(&[(query, &cloud, prepare)], None)?;
+        let stages = traces.pop().ok_or(InferError::NotFinite)?;
+        let pair = stages.estimate(&cloud, &query.reference.prepared);
+        Ok(Trace { estimate: self.finish(query, prepare, pair, times)?, stages, cloud })
+    }
+
+    /// The pose of the fine stage when it starts from `t_query_reference` (metres) instead of the coarse pose; `None`
+    /// without a fine stage.
+    pub fn fine_from(&self, query: &Query<'_>, t_query_reference: &Pose) -> Result<Option<Pose>, InferError> {
+        let (cloud, prepare) = self.prepare(query)?;
+        let reference = &query.reference.prepared;
+        let start =
+            normalised_pose(t_query_reference, cloud.center, reference.cloud.center, reference.radius);
+        let (mut traces, _) = self.run(&[(query, &cloud, prepare)], Some(&[start]))?;
+        let stages = traces.pop().filter(|stages| !stages.fine.is_empty());
+        Ok(stages.map(|stages| stages.estimate(&cloud, reference).t_query_reference))
+    }
+
     fn prepare(&self, query: &Query<'_>) -> Result<(CloudInput, f64), InferError> {
         let start = Instant::now();
         let mut rng = self.stream(QUERY_STREAM);
@@ -233,18 +297,16 @@ impl PoseEstimator {
     }
 
     fn estimate_chunk(&self, chunk: &[(&Query<'_>, &CloudInput, f64)]) -> Vec<Result<Estimate, InferError>> {
-        let pairs: Vec<(&CloudInput, &PreparedReference)> =
-            chunk.iter().map(|(query, cloud, _)| (*cloud, &query.reference.prepared)).collect();
-        let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
-        let Some(references) = EncodedReferences::batch(&references) else { return Vec::new() };
-        let uniforms = Uniforms::Shared(self.seed);
-        match estimate_encoded(&self.model, &self.config, &pairs, &references, uniforms, &self.device) {
-            Ok((estimates, times)) => {
+        match self.run(chunk, None) {
+            Ok((traces, times)) => {
                 let share = times.divided(chunk.len());
                 chunk
                     .par_iter()
-                    .zip(estimates)
-                    .map(|((query, _, prepare), pair)| self.finish(query, *prepare, pair, share))
+                    .zip(traces)
+                    .map(|((query, cloud, prepare), stages)| {
+                        let pair = stages.estimate(cloud, &query.reference.prepared);
+                        self.finish(query, *prepare, pair, share)
+                    })
                     .collect()
             }
             // One failed pass fails all of its pairs.
@@ -254,6 +316,22 @@ impl PoseEstimator {
                 chunk.iter().map(failed).collect()
             }
         }
+    }
+
+    /// The network on prepared queries, as one batch.
+    fn run(
+        &self,
+        chunk: &[(&Query<'_>, &CloudInput, f64)],
+        given: Option<&[Pose]>,
+    ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+        let pairs: Vec<(&CloudInput, &PreparedReference)> =
+            chunk.iter().map(|(query, cloud, _)| (*cloud, &query.reference.prepared)).collect();
+        let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
+        let Some(references) = EncodedReferences::batch(&references) else {
+            return Ok((Vec::new(), StageTimes::default()));
+        };
+        let uniforms = Uniforms::Shared(self.seed);
+        trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }
 
     fn finish(
@@ -268,17 +346,23 @@ impl PoseEstimator {
         if !pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
+        let points = query.frame.masked_points(query.mask);
         if let Some(settings) = self.refinement.settings()
             && let Some(surface) = query.reference.surface()
         {
-            let points = query.frame.masked_points(query.mask);
             pose = refine_with(&points, surface, &pose, &settings).t_query_reference;
         }
         let refine = start.elapsed().as_secs_f64();
+        let evidence = Evidence { points: points.len(), ..pair.evidence };
+        let judge = |calibration: &Calibration| {
+            calibration.judge(&evidence, self.min_confidence.unwrap_or(calibration.threshold))
+        };
         Ok(Estimate {
             refined: pose != pair.t_query_reference,
             t_query_reference: pose,
             score: pair.score,
+            confidence: self.calibration.as_ref().map(judge),
+            evidence,
             overlap: pair.overlap,
             matched: pair.matched,
             t_query_reference_coarse: pair.t_query_reference_coarse,

@@ -6,6 +6,7 @@
 //! with it.
 
 mod assignments;
+mod confidence;
 mod error;
 mod estimator;
 mod one_pair;
@@ -14,18 +15,22 @@ mod reference;
 mod target_list;
 mod target_references;
 mod targets;
+mod trace;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
+pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose};
 pub use error::InferError;
-pub use estimator::{Estimate, PoseEstimator, Query, Timings};
+pub use estimator::{Estimate, PoseEstimator, Query, Timings, Trace};
 pub use pairs::{
     EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
-    estimate_pairs,
+    estimate_pairs, trace_encoded,
 };
 pub use reference::Reference;
 pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
+pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
+pub use trace::{FineTrace, PairTrace, sparse_points};
 pub use view_files::{View, ViewFiles, query_folder};
 
 pub use crate::registration::{IcpOutcome, IcpReference, Refinement, refine};

@@ -7,11 +7,14 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{InferError, Matched, host_assignments};
+use super::{
+    Evidence, InferError, Matched, PairTrace, host_assignments,
+    trace::{sparse_points, starts},
+};
 use crate::{
     config::ModelConfig,
-    data::{CloudInput, PreparedReference, metric_pose, positional_groups},
-    geometry::{Pose, coarse_pose, fine_pose},
+    data::{CloudInput, PreparedReference, positional_groups},
+    geometry::{Pose, coarse_pose},
     model::{CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
 };
 
@@ -31,6 +34,8 @@ pub struct PairEstimate {
     pub overlap: [f64; 2],
     /// Share of query points matched to a reference point.
     pub matched: f64,
+    /// What speaks for the pose.
+    pub evidence: Evidence,
 }
 
 /// Where the time of a batch went.
@@ -170,6 +175,22 @@ pub fn estimate_encoded(
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
+    let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
+    let estimate = |(trace, pair): (PairTrace, &(&CloudInput, &PreparedReference))| trace.estimate(pair.0, pair.1);
+    Ok((traces.into_iter().zip(pairs).map(estimate).collect(), times))
+}
+
+/// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
+/// the fine stage starts instead of at the coarse hypotheses.
+pub fn trace_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    references: &EncodedReferences,
+    uniforms: Uniforms<'_>,
+    given: Option<&[Pose]>,
+    device: &Device,
+) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
     let mut times = StageTimes::default();
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
@@ -196,13 +217,10 @@ pub fn estimate_encoded(
         .zip(&coarse)
         .enumerate()
         .map(|(index, ((query, reference), matched))| {
-            let sparse = |cloud: &CloudInput| -> Vec<[f32; 3]> {
-                cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
-            };
             coarse_pose(
                 &matched.assignment,
-                &sparse(query),
-                &sparse(&reference.cloud),
+                &sparse_points(query),
+                &sparse_points(&reference.cloud),
                 &config.hypotheses,
                 uniforms.stream(index),
                 config.quirks.degenerate_triplets,
@@ -211,13 +229,21 @@ pub fn estimate_encoded(
         .collect();
     times.hypotheses = lap();
 
-    let fine = match (&model.fine_point_matching, &references.position) {
-        (Some(stage), Some(reference_position)) => {
+    let poses: Vec<Vec<Pose>> = match given {
+        Some(starts) => starts.iter().map(|&start| vec![start]).collect(),
+        None => initial.iter().map(|coarse| starts(coarse, config.hypotheses.starts)).collect(),
+    };
+    let rounds = poses.iter().map(Vec::len).max().unwrap_or(0);
+    let mut fine: Vec<Vec<Matched>> = Vec::new();
+    if let (Some(stage), Some(reference_position)) = (&model.fine_point_matching, &references.position) {
+        for round in 0..rounds {
             let groups: Vec<_> = pairs
                 .par_iter()
-                .zip(&initial)
-                .map(|((query, _), coarse)| {
-                    let t_reference_query = coarse.pose.inverse();
+                .zip(&poses)
+                .map(|((query, _), poses)| {
+                    // A pair with fewer starts keeps its place in the batch with its first.
+                    let start = poses.get(round).or(poses.first()).copied().unwrap_or_else(Pose::identity);
+                    let t_reference_query = start.inverse();
                     let moved: Vec<[f32; 3]> =
                         query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
                     positional_groups(&moved, config)
@@ -229,56 +255,31 @@ pub fn estimate_encoded(
                 (&reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
-            blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
+            if let Some(block) = blocks.last() {
+                fine.push(host_assignments(block, config.overlap, false)?);
+            }
         }
-        _ => None,
-    };
+    }
     times.fine = lap();
 
-    let estimates = pairs
+    let mut fine: Vec<_> = fine.into_iter().map(Vec::into_iter).collect();
+    let stages: Vec<_> = coarse
+        .into_iter()
+        .zip(initial)
+        .zip(poses)
+        .map(|((coarse, initial), poses)| {
+            // Every round has a result for every pair; those beyond its own starts repeat the first.
+            let of_pair: Vec<Matched> = fine.iter_mut().filter_map(Iterator::next).collect();
+            (coarse, initial, poses.into_iter().zip(of_pair).collect::<Vec<_>>())
+        })
+        .collect();
+    let traces = pairs
         .par_iter()
-        .enumerate()
-        .map(|(index, (query, reference))| {
-            let metric =
-                |pose: &Pose| metric_pose(pose, query.center, reference.cloud.center, reference.radius);
-            let coarse_pose = &initial[index];
-            let matched = fine.as_ref().map_or(&coarse[index], |fine| &fine[index]);
-            let (pose, score) = match &fine {
-                Some(_) => {
-                    let solved = fine_pose(&matched.assignment, &query.points, &reference.cloud.points);
-                    (solved.pose, solved.score)
-                }
-                None => (coarse_pose.pose, coarse_confidence(query, reference, &coarse_pose.pose, matched)),
-            };
-            let foreground = matched.assignment.foreground_query();
-            PairEstimate {
-                t_query_reference: metric(&pose),
-                score,
-                t_query_reference_coarse: metric(&coarse_pose.pose),
-                coarse_score: coarse_pose.score,
-                overlap: matched.mean_overlap,
-                matched: foreground.iter().map(|&f| f as f64).sum::<f64>() / foreground.len().max(1) as f64,
-            }
+        .zip(stages)
+        .map(|(&(query, reference), (coarse, initial, fine))| {
+            PairTrace::new(query, reference, coarse, initial, fine)
         })
         .collect();
     times.solve = lap();
-    Ok((estimates, times))
-}
-
-/// The fine stage's confidence (section 6) on the coarse matches.
-fn coarse_confidence(
-    query: &CloudInput,
-    reference: &PreparedReference,
-    pose: &Pose,
-    matched: &Matched,
-) -> f64 {
-    let t_reference_query = pose.inverse();
-    let moved: Vec<[f32; 3]> =
-        query.sparse.iter().map(|&i| t_reference_query.transform_f32(&query.points[i as usize])).collect();
-    let distances = crate::geometry::nearest_distances(&moved, &reference.cloud.points);
-    let foreground = matched.assignment.foreground_query();
-    let total: f64 = foreground.iter().map(|&f| f as f64).sum();
-    let near: f64 =
-        foreground.iter().zip(&distances).filter(|(_, d)| **d < 0.15).map(|(&f, _)| f as f64).sum();
-    near / (total + 1e-8) * (total / foreground.len().max(1) as f64)
+    Ok((traces, times))
 }

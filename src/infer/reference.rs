@@ -23,6 +23,11 @@ impl Reference {
         &self.points
     }
 
+    /// The view as the network sees it.
+    pub fn prepared(&self) -> &PreparedReference {
+        &self.prepared
+    }
+
     /// The surface for refinement, made on first use; `None` when the points make none.
     pub fn surface(&self) -> Option<&IcpReference> {
         self.surface.get_or_init(|| IcpReference::new(&self.points)).as_ref()
