@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::{
     Calibration, Confidence, EncodedReferences, Evidence, InferError, PairEstimate, PairTrace, Reference,
-    Refinement, StageTimes, Uniforms, encode_references, trace_encoded,
+    ReferenceColor, Refinement, StageTimes, Uniforms, encode_references, trace_encoded,
 };
 use crate::{
     checkpoint,
@@ -42,6 +42,7 @@ const MAX_BATCH: usize = 8;
 /// Streams of the random numbers of one seed.
 const REFERENCE_STREAM: u64 = 1;
 const QUERY_STREAM: u64 = 2;
+const COLOR_STREAM: u64 = 3;
 
 /// Estimates poses of instances against reference views.
 #[derive(Debug)]
@@ -57,6 +58,7 @@ pub struct PoseEstimator {
     calibration: Option<Calibration>,
     /// Replaces the calibration's threshold.
     min_confidence: Option<f64>,
+    reference_color: ReferenceColor,
 }
 
 /// A query instance and the reference it is compared with.
@@ -153,8 +155,18 @@ impl PoseEstimator {
         backend: DeviceChoice,
         source: String,
     ) -> Self {
-        let (refinement, calibration, min_confidence) = (Refinement::None, None, None);
-        Self { model, config, device, backend, source, seed: 0, refinement, calibration, min_confidence }
+        Self {
+            model,
+            config,
+            device,
+            backend,
+            source,
+            seed: 0,
+            refinement: Refinement::None,
+            calibration: None,
+            min_confidence: None,
+            reference_color: ReferenceColor::Keep,
+        }
     }
 
     /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
@@ -188,6 +200,12 @@ impl PoseEstimator {
         self
     }
 
+    /// Colours of the references, kept at first.
+    pub fn with_reference_color(mut self, reference_color: ReferenceColor) -> Self {
+        self.reference_color = reference_color;
+        self
+    }
+
     pub fn config(&self) -> &ModelConfig {
         &self.config
     }
@@ -218,8 +236,9 @@ impl PoseEstimator {
     pub fn reference(&self, frame: &RgbdFrame, mask: &Mask) -> Result<Reference, InferError> {
         let start = Instant::now();
         let mut rng = self.stream(REFERENCE_STREAM);
+        let colored = self.reference_color.apply(frame, mask, &mut self.stream(COLOR_STREAM));
         let prepared =
-            prepare_reference(frame, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
+            prepare_reference(&colored, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
         let encoded = encode_references(&self.model, &self.config, &[&prepared], &self.device);
         let reference = Reference {
             prepared,

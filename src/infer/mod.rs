@@ -12,6 +12,7 @@ mod estimator;
 mod one_pair;
 mod pairs;
 mod reference;
+mod reference_color;
 mod target_list;
 mod target_references;
 mod targets;
@@ -27,10 +28,11 @@ pub use pairs::{
     estimate_pairs, trace_encoded,
 };
 pub use reference::Reference;
+pub use reference_color::ReferenceColor;
 pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
 pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
 pub use trace::{FineTrace, PairTrace, sparse_points};
 pub use view_files::{View, ViewFiles, query_folder};
 
-pub use crate::registration::{IcpOutcome, IcpReference, Refinement, refine};
+pub use crate::registration::{IcpOutcome, IcpReference, Refinement, icp::refine_with, refine};

@@ -176,7 +176,8 @@ pub fn estimate_encoded(
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
     let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
-    let estimate = |(trace, pair): (PairTrace, &(&CloudInput, &PreparedReference))| trace.estimate(pair.0, pair.1);
+    let estimate =
+        |(trace, pair): (PairTrace, &(&CloudInput, &PreparedReference))| trace.estimate(pair.0, pair.1);
     Ok((traces.into_iter().zip(pairs).map(estimate).collect(), times))
 }
 

@@ -90,7 +90,8 @@ impl PairTrace {
     /// Score of the best answer that is turned against the given one, in shares of that one's: of the fine poses where the
     /// fine stage had several starts, else of the coarse hypotheses.
     fn rival(&self, pose: &Pose) -> f64 {
-        let share = |rival: Option<f64>, best: f64| rival.map_or(0.0, |rival| rival / best.max(1e-8)).min(1.0);
+        let share =
+            |rival: Option<f64>, best: f64| rival.map_or(0.0, |rival| rival / best.max(1e-8)).min(1.0);
         let apart = |other: &Pose, pose: &Pose| other.rotation_angle_deg(pose) > APART_DEG;
         if self.fine.len() > 1 {
             let rivals = self.fine.iter().filter(|fine| apart(&fine.solved.pose, pose));
@@ -124,8 +125,12 @@ pub fn sparse_points(cloud: &CloudInput) -> Vec<[f32; 3]> {
 pub(super) fn starts(coarse: &CoarsePose, count: usize) -> Vec<Pose> {
     let mut starts = vec![coarse.pose];
     if count > 1 {
-        let mut ranked: Vec<(f64, &Pose)> =
-            coarse.kept.iter().zip(&coarse.kept_scores).map(|(&h, &s)| (s, &coarse.hypotheses[h].pose)).collect();
+        let mut ranked: Vec<(f64, &Pose)> = coarse
+            .kept
+            .iter()
+            .zip(&coarse.kept_scores)
+            .map(|(&h, &s)| (s, &coarse.hypotheses[h].pose))
+            .collect();
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (_, pose) in ranked {
             if starts.len() == count {

@@ -80,8 +80,7 @@ impl Calibration {
             quantile(values.collect(), UNUSUAL)
         };
         let terms = Feature::ALL.into_iter().zip(weights);
-        let terms =
-            terms.map(|(feature, weight)| Term { feature, weight, usual: usual(feature) }).collect();
+        let terms = terms.map(|(feature, weight)| Term { feature, weight, usual: usual(feature) }).collect();
         let mut calibration = Self {
             intercept,
             terms,
