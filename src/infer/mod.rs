@@ -8,6 +8,7 @@
 mod assignments;
 mod confidence;
 mod error;
+mod estimate;
 mod estimator;
 mod one_pair;
 mod pairs;
@@ -22,7 +23,8 @@ mod view_files;
 pub use assignments::{Matched, host_assignments};
 pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose};
 pub use error::InferError;
-pub use estimator::{Estimate, PoseEstimator, Query, Timings, Trace};
+pub use estimate::{Estimate, Query, Timings, Trace};
+pub use estimator::PoseEstimator;
 pub use pairs::{
     EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
     estimate_pairs, trace_encoded,

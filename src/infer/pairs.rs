@@ -7,14 +7,11 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{
-    Evidence, InferError, Matched, PairTrace, host_assignments,
-    trace::{sparse_points, starts},
-};
+use super::{Evidence, InferError, Matched, PairTrace, host_assignments, trace::sparse_points};
 use crate::{
-    config::ModelConfig,
+    config::{HypothesisScore, ModelConfig},
     data::{CloudInput, PreparedReference, positional_groups},
-    geometry::{Pose, coarse_pose},
+    geometry::{MutualFit, Pose, coarse_pose},
     model::{CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
 };
 
@@ -28,7 +25,7 @@ pub struct PairEstimate {
     pub score: f64,
     /// Coarse pose, metres.
     pub t_query_reference_coarse: Pose,
-    /// Coarse hypothesis score, 1/radius.
+    /// Score of the coarse hypothesis, see [`HypothesisScore`].
     pub coarse_score: f64,
     /// Mean predicted overlap of the query's and the reference's points.
     pub overlap: [f64; 2],
@@ -218,32 +215,35 @@ pub fn trace_encoded(
         .zip(&coarse)
         .enumerate()
         .map(|(index, ((query, reference), matched))| {
-            coarse_pose(
+            let coarse = coarse_pose(
                 &matched.assignment,
                 &sparse_points(query),
                 &sparse_points(&reference.cloud),
                 &config.hypotheses,
                 uniforms.stream(index),
                 config.quirks.degenerate_triplets,
-            )
+            );
+            match config.hypotheses.score {
+                HypothesisScore::Distance => coarse,
+                HypothesisScore::MutualFit => {
+                    let fit = MutualFit::new(&query.points, &reference.cloud.points);
+                    coarse.rescored(|pose| fit.score(pose))
+                }
+            }
         })
         .collect();
     times.hypotheses = lap();
 
-    let poses: Vec<Vec<Pose>> = match given {
-        Some(starts) => starts.iter().map(|&start| vec![start]).collect(),
-        None => initial.iter().map(|coarse| starts(coarse, config.hypotheses.starts)).collect(),
+    let starts: Vec<Pose> = match given {
+        Some(starts) => starts.to_vec(),
+        None => initial.iter().map(|coarse| coarse.pose).collect(),
     };
-    let rounds = poses.iter().map(Vec::len).max().unwrap_or(0);
-    let mut fine: Vec<Vec<Matched>> = Vec::new();
-    if let (Some(stage), Some(reference_position)) = (&model.fine_point_matching, &references.position) {
-        for round in 0..rounds {
+    let fine = match (&model.fine_point_matching, &references.position) {
+        (Some(stage), Some(reference_position)) => {
             let groups: Vec<_> = pairs
                 .par_iter()
-                .zip(&poses)
-                .map(|((query, _), poses)| {
-                    // A pair with fewer starts keeps its place in the batch with its first.
-                    let start = poses.get(round).or(poses.first()).copied().unwrap_or_else(Pose::identity);
+                .zip(&starts)
+                .map(|((query, _), start)| {
                     let t_reference_query = start.inverse();
                     let moved: Vec<[f32; 3]> =
                         query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
@@ -256,29 +256,22 @@ pub fn trace_encoded(
                 (&reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
-            if let Some(block) = blocks.last() {
-                fine.push(host_assignments(block, config.overlap, false)?);
-            }
+            blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
         }
-    }
+        _ => None,
+    };
     times.fine = lap();
 
-    let mut fine: Vec<_> = fine.into_iter().map(Vec::into_iter).collect();
-    let stages: Vec<_> = coarse
-        .into_iter()
-        .zip(initial)
-        .zip(poses)
-        .map(|((coarse, initial), poses)| {
-            // Every round has a result for every pair; those beyond its own starts repeat the first.
-            let of_pair: Vec<Matched> = fine.iter_mut().filter_map(Iterator::next).collect();
-            (coarse, initial, poses.into_iter().zip(of_pair).collect::<Vec<_>>())
-        })
-        .collect();
+    let fine: Vec<Option<Matched>> = match fine {
+        Some(fine) => fine.into_iter().map(Some).collect(),
+        None => vec![None; pairs.len()],
+    };
+    let stages: Vec<_> = coarse.into_iter().zip(initial).zip(starts).zip(fine).collect();
     let traces = pairs
         .par_iter()
         .zip(stages)
-        .map(|(&(query, reference), (coarse, initial, fine))| {
-            PairTrace::new(query, reference, coarse, initial, fine)
+        .map(|(&(query, reference), (((coarse, initial), start), fine))| {
+            PairTrace::new(query, reference, (coarse, initial), (start, fine))
         })
         .collect();
     times.solve = lap();

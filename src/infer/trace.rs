@@ -6,7 +6,7 @@ use crate::{
     geometry::{CoarsePose, FinePose, Pose, fine_pose, nearest_distances},
 };
 
-/// Angle from which two hypotheses, or two poses, count as different answers, degrees.
+/// Angle from which a hypothesis counts as another answer, degrees.
 const APART_DEG: f64 = 30.0;
 /// Distance to the reference (radii) up to which a query point fits, as in the fine stage.
 const FITTING_DISTANCE: f32 = 0.15;
@@ -16,11 +16,11 @@ const FITTING_DISTANCE: f32 = 0.15;
 pub struct PairTrace {
     pub coarse: Matched,
     pub coarse_pose: CoarsePose,
-    /// One per start of the fine stage, the one with the best score first; empty without a fine stage.
-    pub fine: Vec<FineTrace>,
+    /// `None` without a fine stage.
+    pub fine: Option<FineTrace>,
 }
 
-/// The fine stage from one start.
+/// The fine stage.
 #[derive(Clone, Debug)]
 pub struct FineTrace {
     pub start: Pose,
@@ -29,29 +29,25 @@ pub struct FineTrace {
 }
 
 impl PairTrace {
-    /// From the coarse stage and the fine stage's assignments with their starts.
+    /// From the coarse stage, and the fine stage's start and assignment.
     pub(super) fn new(
         query: &CloudInput,
         reference: &PreparedReference,
-        coarse: Matched,
-        coarse_pose: CoarsePose,
-        fine: Vec<(Pose, Matched)>,
+        (coarse, coarse_pose): (Matched, CoarsePose),
+        (start, fine): (Pose, Option<Matched>),
     ) -> Self {
-        let solve = |(start, matched): (Pose, Matched)| FineTrace {
-            solved: fine_pose(&matched.assignment, &query.points, &reference.cloud.points),
+        let fine = fine.map(|matched| FineTrace {
             start,
+            solved: fine_pose(&matched.assignment, &query.points, &reference.cloud.points),
             matched,
-        };
-        let mut fine: Vec<FineTrace> = fine.into_iter().map(solve).collect();
-        // The sort is stable: of equal scores the better hypothesis comes first.
-        fine.sort_by(|a, b| b.solved.score.total_cmp(&a.solved.score));
+        });
         Self { coarse, coarse_pose, fine }
     }
 
     /// Pose and confidence.
     pub fn estimate(&self, query: &CloudInput, reference: &PreparedReference) -> PairEstimate {
         let metric = |pose: &Pose| metric_pose(pose, query.center, reference.cloud.center, reference.radius);
-        let (pose, score, matched) = match self.fine.first() {
+        let (pose, score, matched) = match &self.fine {
             Some(fine) => (fine.solved.pose, fine.solved.score, &fine.matched),
             None => (self.coarse_pose.pose, self.coarse_confidence(query, reference), &self.coarse),
         };
@@ -67,8 +63,8 @@ impl PairTrace {
     }
 
     fn evidence(&self, query: &CloudInput, pose: &Pose, score: f64, matched: &Matched) -> Evidence {
-        let start = self.fine.first().map_or(&self.coarse_pose.pose, |fine| &fine.start);
-        let Support { mass, residual } = match self.fine.first() {
+        let start = self.fine.as_ref().map_or(&self.coarse_pose.pose, |fine| &fine.start);
+        let Support { mass, residual } = match &self.fine {
             Some(fine) => Support::of(&fine.solved, &query.points),
             None => Support::NONE,
         };
@@ -87,20 +83,13 @@ impl PairTrace {
         }
     }
 
-    /// Score of the best answer that is turned against the given one, in shares of that one's: of the fine poses where the
-    /// fine stage had several starts, else of the coarse hypotheses.
+    /// Score of the best hypothesis that is turned against the pose, in shares of the winner's.
     fn rival(&self, pose: &Pose) -> f64 {
-        let share =
-            |rival: Option<f64>, best: f64| rival.map_or(0.0, |rival| rival / best.max(1e-8)).min(1.0);
-        let apart = |other: &Pose, pose: &Pose| other.rotation_angle_deg(pose) > APART_DEG;
-        if self.fine.len() > 1 {
-            let rivals = self.fine.iter().filter(|fine| apart(&fine.solved.pose, pose));
-            return share(rivals.map(|f| f.solved.score).max_by(f64::total_cmp), self.fine[0].solved.score);
-        }
-        let CoarsePose { hypotheses, kept, kept_scores, score, pose, .. } = &self.coarse_pose;
-        let scored = kept.iter().zip(kept_scores);
-        let rivals = scored.filter(|&(&h, _)| apart(&hypotheses[h].pose, pose)).map(|(_, &score)| score);
-        share(rivals.max_by(f64::total_cmp), *score)
+        let CoarsePose { hypotheses, kept, kept_scores, score, .. } = &self.coarse_pose;
+        let apart = |&(&h, _): &(&usize, &f64)| hypotheses[h].pose.rotation_angle_deg(pose) > APART_DEG;
+        let rival =
+            kept.iter().zip(kept_scores).filter(apart).map(|(_, &score)| score).max_by(f64::total_cmp);
+        rival.map_or(0.0, |rival| rival / score.max(1e-8)).min(1.0)
     }
 
     /// The fine stage's score (network page, section 6) on the coarse matches.
@@ -119,27 +108,4 @@ impl PairTrace {
 /// The points of a cloud that the coarse stage matches.
 pub fn sparse_points(cloud: &CloudInput) -> Vec<[f32; 3]> {
     cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
-}
-
-/// The winning hypothesis and up to `count - 1` others by descending score, each turned against all before it.
-pub(super) fn starts(coarse: &CoarsePose, count: usize) -> Vec<Pose> {
-    let mut starts = vec![coarse.pose];
-    if count > 1 {
-        let mut ranked: Vec<(f64, &Pose)> = coarse
-            .kept
-            .iter()
-            .zip(&coarse.kept_scores)
-            .map(|(&h, &s)| (s, &coarse.hypotheses[h].pose))
-            .collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for (_, pose) in ranked {
-            if starts.len() == count {
-                break;
-            }
-            if starts.iter().all(|start| start.rotation_angle_deg(pose) > APART_DEG) {
-                starts.push(*pose);
-            }
-        }
-    }
-    starts
 }

@@ -33,8 +33,9 @@ pub struct Term {
     pub feature: Feature,
     /// Per unit of the feature's value, not negative.
     pub weight: f64,
-    /// Value that nine of ten right poses reach.
+    /// Value that nine of ten right poses reach, and their median.
     pub usual: f64,
+    pub typical: f64,
 }
 
 /// A fitted calibration.
@@ -75,12 +76,18 @@ impl Calibration {
     pub fn fit(observed: &[(Evidence, bool)], right: RightPose, data: &str) -> Option<Self> {
         let rights = observed.iter().filter(|(_, right)| *right).count();
         let (intercept, weights) = fit::fit(observed)?;
-        let usual = |feature: Feature| {
+        let reached = |feature: Feature, share: f64| {
             let values = observed.iter().filter(|(_, right)| *right).map(|(e, _)| feature.value(e));
-            quantile(values.collect(), UNUSUAL)
+            quantile(values.collect(), share)
         };
         let terms = Feature::ALL.into_iter().zip(weights);
-        let terms = terms.map(|(feature, weight)| Term { feature, weight, usual: usual(feature) }).collect();
+        let term = |(feature, weight)| Term {
+            feature,
+            weight,
+            usual: reached(feature, UNUSUAL),
+            typical: reached(feature, 0.5),
+        };
+        let terms = terms.map(term).collect();
         let mut calibration = Self {
             intercept,
             terms,
@@ -111,21 +118,24 @@ impl Calibration {
         }
     }
 
-    /// One reason per kind of doubt whose evidence is unusual for a right pose, by what it costs; the costliest
-    /// evidence when nothing is unusual.
+    /// One reason per kind of doubt whose evidence nine of ten right poses exceed, the most unusual first; the most unusual
+    /// of all when there is none.
     fn reasons(&self, evidence: &Evidence) -> Vec<Reason> {
-        let cost = |term: &Term| term.weight * (term.usual - term.feature.value(evidence));
-        let mut terms: Vec<&Term> = self.terms.iter().filter(|term| term.weight > 0.0).collect();
-        terms.sort_by(|a, b| cost(b).total_cmp(&cost(a)));
-        let mut reasons: BTreeMap<usize, Reason> = BTreeMap::new();
-        for (rank, term) in terms.iter().enumerate() {
-            let (kind, value) = (term.feature.doubt(), term.feature.value(evidence));
-            let unusual = value < term.usual || rank == 0;
-            if unusual && reasons.values().all(|reason| reason.kind != kind) {
-                reasons.insert(rank, Reason { kind, text: term.feature.explain(value, term.usual) });
+        // 0 at the median of the right poses, 1 where nine of ten are better.
+        let unusual = |term: &Term| {
+            (term.typical - term.feature.value(evidence)) / (term.typical - term.usual).max(1e-6)
+        };
+        let mut terms: Vec<(f64, &Term)> = self.terms.iter().map(|term| (unusual(term), term)).collect();
+        terms.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut reasons: Vec<Reason> = Vec::new();
+        for (unusual, term) in terms {
+            let kind = term.feature.doubt();
+            if reasons.is_empty() || (unusual > 1.0 && reasons.iter().all(|reason| reason.kind != kind)) {
+                let value = term.feature.value(evidence);
+                reasons.push(Reason { kind, text: term.feature.explain(value, term.typical) });
             }
         }
-        reasons.into_values().collect()
+        reasons
     }
 
     /// The smallest probability above which the wanted share was right; 0.5 when no probability is that precise.

@@ -18,9 +18,9 @@ pub struct Evidence {
     pub mass: f64,
     /// Root mean squared distance of the weighted matches under the pose.
     pub residual: f64,
-    /// Score of the coarse hypothesis, 1 / radius.
+    /// Score of the coarse hypothesis.
     pub coarse_score: f64,
-    /// Score of the best answer turned by more than 30 degrees, in shares of the estimate's.
+    /// Score of the best hypothesis that is turned by more than 30 degrees, in shares of the winner's.
     pub rival: f64,
     /// Turn of the fine stage, degrees.
     pub agreement_deg: f64,
@@ -119,57 +119,57 @@ impl Feature {
         }
     }
 
-    /// A sentence about a value and the one that most right poses reach (both as [`Self::value`] gives them).
-    pub fn explain(self, value: f64, usual: f64) -> String {
+    /// A sentence about a value and the median of right poses (both as [`Self::value`] gives them).
+    pub fn explain(self, value: f64, typical: f64) -> String {
         let percent = |x: f64| format!("{:.0} %", 100.0 * x);
         match self {
             Self::Points => format!(
-                "few points: {:.0} pixels of the mask have depth, {:.0} are usual",
+                "few points: {:.0} pixels of the mask have depth, {:.0} are typical",
                 value.exp(),
-                usual.exp()
+                typical.exp()
             ),
             Self::OverlapQuery => format!(
-                "low overlap: the reference shows {} of the query, {} are usual",
+                "low overlap: the reference shows {} of the query, {} are typical",
                 percent(value),
-                percent(usual)
+                percent(typical)
             ),
             Self::OverlapReference => format!(
-                "low overlap: the query shows {} of the reference, {} are usual",
+                "low overlap: the query shows {} of the reference, {} are typical",
                 percent(value),
-                percent(usual)
+                percent(typical)
             ),
             Self::Matched => format!(
-                "low overlap: {} of the query's points are matched, {} are usual",
+                "low overlap: {} of the query's points are matched, {} are typical",
                 percent(value),
-                percent(usual)
+                percent(typical)
             ),
             Self::Rival => format!(
-                "ambiguous: another rotation scores {} of this one, {} are usual",
+                "ambiguous: another rotation scores {} of this one, {} are typical",
                 percent(-value),
-                percent(-usual)
+                percent(-typical)
             ),
             Self::Fit => {
-                format!("poor fit: {} of the points fit, {} are usual", percent(value), percent(usual))
+                format!("poor fit: {} of the points fit, {} are typical", percent(value), percent(typical))
             }
             Self::Mass => format!(
-                "poor fit: the matches are undecided (mean weight {:.3}, {:.3} is usual)",
+                "poor fit: the matches are undecided (mean weight {:.3}, {:.3} is typical)",
                 value.exp(),
-                usual.exp()
+                typical.exp()
             ),
             Self::Residual => format!(
-                "poor fit: the matches disagree by {:.2} radii, {:.2} are usual",
+                "poor fit: the matches disagree by {:.2} radii, {:.2} are typical",
                 (-value).exp(),
-                (-usual).exp()
+                (-typical).exp()
             ),
             Self::CoarseScore => format!(
-                "poor fit: the coarse pose leaves {:.2} radii, {:.2} are usual",
-                (-value).exp(),
-                (-usual).exp()
+                "poor fit: the best hypothesis scores {:.3}, {:.3} is typical",
+                value.exp(),
+                typical.exp()
             ),
             Self::Agreement => format!(
-                "poor fit: the fine stage turned the coarse pose by {:.0} degrees, {:.0} are usual",
+                "poor fit: the fine stage turned the coarse pose by {:.0} degrees, {:.0} are typical",
                 (-value).exp(),
-                (-usual).exp()
+                (-typical).exp()
             ),
         }
     }

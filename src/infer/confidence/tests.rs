@@ -60,8 +60,15 @@ fn the_law_is_found_and_predicts_other_pairs() {
 #[test]
 fn doubts_name_what_is_unusual() {
     let calibration = fitted();
-    let good =
-        Evidence { fit: 0.95, overlap_query: 0.95, points: 1500, residual: 0.07, ..Evidence::default() };
+    let good = Evidence {
+        fit: 0.95,
+        overlap_query: 0.95,
+        matched: 0.5,
+        mass: 0.5,
+        points: 1500,
+        residual: 0.07,
+        ..Evidence::default()
+    };
     let confident = calibration.judge(&good, calibration.threshold);
     assert!(confident.confident && confident.reasons.is_empty(), "{confident:?}");
     let few = calibration.judge(&Evidence { points: 25, fit: 0.6, ..good }, calibration.threshold);
