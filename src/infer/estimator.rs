@@ -47,18 +47,18 @@ const COLOR_STREAM: u64 = 3;
 /// Estimates poses of instances against reference views.
 #[derive(Debug)]
 pub struct PoseEstimator {
-    model: UnoPose,
-    config: ModelConfig,
-    device: Device,
-    backend: DeviceChoice,
+    pub(super) model: UnoPose,
+    pub(super) config: ModelConfig,
+    pub(super) device: Device,
+    pub(super) backend: DeviceChoice,
     /// Where the weights come from.
-    source: String,
-    seed: u64,
-    refinement: Refinement,
-    calibration: Option<Calibration>,
+    pub(super) source: String,
+    pub(super) seed: u64,
+    pub(super) refinement: Refinement,
+    pub(super) calibration: Option<Calibration>,
     /// Replaces the calibration's threshold.
-    min_confidence: Option<f64>,
-    reference_color: ReferenceColor,
+    pub(super) min_confidence: Option<f64>,
+    pub(super) reference_color: ReferenceColor,
 }
 
 impl PoseEstimator {
@@ -117,69 +117,6 @@ impl PoseEstimator {
             min_confidence: None,
             reference_color: ReferenceColor::Keep,
         }
-    }
-
-    /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
-    pub fn untrained(self, seed: u64) -> Self {
-        let model = UnoPose::new(&self.config, seed, &self.device);
-        let source = format!("untrained network of {}", self.source);
-        Self { model, source, calibration: None, ..self }
-    }
-
-    /// Seed of point sampling and hypotheses, 0 at first.
-    pub fn with_seed(mut self, seed: u64) -> Self {
-        self.seed = seed;
-        self
-    }
-
-    /// Refinement after the network, none at first.
-    pub fn with_refinement(mut self, refinement: Refinement) -> Self {
-        self.refinement = refinement;
-        self
-    }
-
-    /// The calibration of the confidence, at first the checkpoint's.
-    pub fn with_calibration(mut self, calibration: Option<Calibration>) -> Self {
-        self.calibration = calibration;
-        self
-    }
-
-    /// Probability below which an estimate is not confident, at first the calibration's.
-    pub fn with_min_confidence(mut self, min_confidence: Option<f64>) -> Self {
-        self.min_confidence = min_confidence;
-        self
-    }
-
-    /// Colours of the references, kept at first.
-    pub fn with_reference_color(mut self, reference_color: ReferenceColor) -> Self {
-        self.reference_color = reference_color;
-        self
-    }
-
-    pub fn config(&self) -> &ModelConfig {
-        &self.config
-    }
-
-    pub fn calibration(&self) -> Option<&Calibration> {
-        self.calibration.as_ref()
-    }
-
-    pub fn refinement(&self) -> Refinement {
-        self.refinement
-    }
-
-    pub fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    /// Where the weights come from.
-    pub fn source(&self) -> &str {
-        &self.source
-    }
-
-    /// The backend in use.
-    pub fn backend(&self) -> DeviceChoice {
-        self.backend
     }
 
     /// Prepares and encodes a reference view of an object.

@@ -14,6 +14,7 @@ mod one_pair;
 mod pairs;
 mod reference;
 mod reference_color;
+mod settings;
 mod target_list;
 mod target_references;
 mod targets;
@@ -21,7 +22,7 @@ mod trace;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
-pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose};
+pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose, Term};
 pub use error::InferError;
 pub use estimate::{Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;

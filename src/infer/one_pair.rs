@@ -26,7 +26,8 @@ impl PairEstimator for PoseEstimator {
         let mut hasher = DefaultHasher::new();
         std::fs::read(file).unwrap_or_default().hash(&mut hasher);
         let config = serde_json::to_string(self.config()).unwrap_or_default();
-        format!("{:016x} seed {} {:?} {config}", hasher.finish(), self.seed(), self.refinement().settings())
+        let (refinement, color) = (self.refinement().settings(), self.reference_color());
+        format!("{:016x} seed {} {refinement:?} {color} {config}", hasher.finish(), self.seed())
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {

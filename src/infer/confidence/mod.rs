@@ -8,7 +8,7 @@ mod calibration;
 mod evidence;
 mod fit;
 
-pub use calibration::{Calibration, Confidence, Reason, RightPose};
+pub use calibration::{Calibration, Confidence, Reason, RightPose, Term};
 pub(super) use evidence::Support;
 pub use evidence::{Doubt, Evidence, Feature};
 
