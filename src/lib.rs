@@ -28,6 +28,7 @@
 //! # }
 //! ```
 
+pub mod analysis;
 pub mod bench;
 pub mod checkpoint;
 pub mod config;

@@ -183,7 +183,11 @@ impl CoarseCase<'_> {
 
         let uniforms = file.item(self.uniform, item);
         let kept = file.int_item(&name("topk_idx"), item);
-        let config = HypothesisConfig { proposals: uniforms.len() / 3, kept: kept.len(), power: 1.5 };
+        let config = HypothesisConfig {
+            proposals: uniforms.len() / 3,
+            kept: kept.len(),
+            ..HypothesisConfig::default()
+        };
         let mut stream = uniforms.iter().copied();
         let coarse = coarse_pose(&assignment, &query, &reference, &config, || stream.next().unwrap(), true);
         self.check_pairs(&coarse, item, query.len(), reference.len());
@@ -273,7 +277,7 @@ fn nothing_matched_scores_zero() {
     let (query, reference) = (file.cloud("all_background.pts1", 0), file.cloud("all_background.pts2", 0));
     let scores = file.item("all_background.scores", 0);
     let assignment = match_assignment(&file.item("all_background.atten", 0), &scores[..20], &scores[20..]);
-    let config = HypothesisConfig { proposals: 100, kept: 10, power: 1.5 };
+    let config = HypothesisConfig { proposals: 100, kept: 10, ..HypothesisConfig::default() };
     for degenerate_allowed in [true, false] {
         let coarse = coarse_pose(&assignment, &query, &reference, &config, || 0.5, degenerate_allowed);
         assert_eq!(coarse.score, 0.0);

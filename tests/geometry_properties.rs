@@ -114,7 +114,7 @@ proptest! {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / (1u32 << 24) as f32
         };
-        let config = HypothesisConfig { proposals: 50, kept: 10, power: 1.5 };
+        let config = HypothesisConfig { proposals: 50, kept: 10, ..HypothesisConfig::default() };
         let coarse = coarse_pose(&assignment, &query, &points, &config, uniforms, false);
         prop_assert!(coarse.pose.rotation_angle_deg(&pose) < 0.1);
         for hypothesis in &coarse.hypotheses {

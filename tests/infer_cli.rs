@@ -19,6 +19,7 @@ use unopose::{
     },
     frame::Mask,
     geometry::Pose,
+    infer::{Calibration, Feature, RightPose, Term},
     model::UnoPose,
 };
 
@@ -135,6 +136,43 @@ fn estimate_writes_poses_and_overlays() {
     let query = image::open(files.at("query/rgb/a.png")).unwrap().into_rgb8();
     assert_eq!(overlay.dimensions(), query.dimensions());
     assert_ne!(overlay, query);
+}
+
+#[test]
+fn a_calibrated_checkpoint_tells_its_confidence() {
+    let files = Files::new();
+    let confidence_of = |name: &str, more: &[&str]| {
+        let output = files.estimate(&[("--checkpoint", name)], more);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let pose: serde_json::Value = read_json(&files.at("out/pose.json")).unwrap();
+        (pose, String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let (pose, line) = confidence_of("weights.safetensors", &[]);
+    assert!(pose["confidence"].is_null() && pose["confident"].is_null(), "{pose}");
+    assert!(line.contains("confidence unknown"), "{line}");
+
+    // Without weights the probability is that of the intercept; the mask has fewer pixels than right poses have.
+    let term = |feature, usual, typical| Term { feature, weight: 0.0, usual, typical };
+    let calibration = Calibration {
+        intercept: 0.0,
+        terms: vec![term(Feature::Points, 1e6f64.ln(), 2e6f64.ln()), term(Feature::OverlapQuery, -2.0, -1.0)],
+        threshold: 0.8,
+        right: RightPose::DEFAULT,
+        pairs: 100,
+        right_share: 0.5,
+        data: "none".into(),
+    };
+    let (weights, calibrated) = (files.at("weights.safetensors"), files.at("calibrated.safetensors"));
+    checkpoint::annotate(&weights, &calibrated, calibration.to_metadata()).unwrap();
+    let (pose, line) = confidence_of("calibrated.safetensors", &[]);
+    assert_eq!((pose["confidence"].as_f64(), pose["confident"].as_bool()), (Some(0.5), Some(false)));
+    let reasons = pose["reasons"].as_array().unwrap();
+    assert_eq!(reasons.len(), 1, "{pose}");
+    assert_eq!(reasons[0]["kind"], "few_points");
+    assert!(line.contains("not confident (0.50: few points"), "{line}");
+    let (pose, line) = confidence_of("calibrated.safetensors", &["--min-confidence", "0.4"]);
+    assert_eq!(pose["confident"].as_bool(), Some(true));
+    assert!(pose["reasons"].as_array().unwrap().is_empty() && line.contains("confidence 0.50"), "{line}");
 }
 
 #[test]

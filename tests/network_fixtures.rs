@@ -69,7 +69,7 @@ fn small_official() -> ModelConfig {
         coarse: matching.clone(),
         fine: FineConfig { matching, pe_radii: [0.2, 0.4], pe_samples: [16, 32], ..FineConfig::default() },
         overlap: OverlapMode::Release,
-        hypotheses: HypothesisConfig { proposals: 600, kept: 60, power: 1.5 },
+        hypotheses: HypothesisConfig { proposals: 600, kept: 60, ..HypothesisConfig::default() },
         quirks: Quirks::release(),
         ..ModelConfig::default()
     }

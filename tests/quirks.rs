@@ -192,7 +192,7 @@ fn triplets_are_of_three_different_points() {
     let mut similarity = vec![0.0f32; (n + 1) * (n + 1)];
     (1..=n).for_each(|i| similarity[i * (n + 2)] = 1.0);
     let assignment = match_assignment(&similarity, &vec![1.0; n], &vec![1.0; n]);
-    let config = HypothesisConfig { proposals: 500, kept: 500, power: 1.5 };
+    let config = HypothesisConfig { proposals: 500, kept: 500, ..HypothesisConfig::default() };
     let repeated = |allowed: bool| {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let coarse = coarse_pose(&assignment, &points, &points, &config, || rng.random(), allowed);

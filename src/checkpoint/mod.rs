@@ -114,6 +114,14 @@ pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
     meta_of(&TensorFile::read(path)?, path)
 }
 
+/// Sets an entry of a checkpoint's metadata and writes the file to `output` (which may be `path`).
+pub fn annotate(path: &Path, output: &Path, (key, value): (String, String)) -> Result<(), CheckpointError> {
+    let mut file = TensorFile::read(path)?;
+    meta_of(&file, path)?;
+    file.metadata.insert(key, value);
+    file.write(output)
+}
+
 /// The configuration inside a checkpoint.
 pub fn read_config(path: &Path) -> Result<Config, CheckpointError> {
     config_of(&TensorFile::read(path)?, path)?

@@ -23,8 +23,8 @@ pub use error::ConfigError;
 pub use load::EMBEDDED_NAMES;
 pub use loss::LossConfig;
 pub use model::{
-    EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, MatchingConfig, ModelConfig,
-    OverlapMode,
+    EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, HypothesisScore, MatchingConfig,
+    ModelConfig, OverlapMode,
 };
 pub use quirks::Quirks;
 pub use synth::{MeshLayout, MeshSize, SensorConfig, SynthCameraConfig, SynthConfig};

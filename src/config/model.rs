@@ -114,6 +114,20 @@ pub struct HypothesisConfig {
     pub kept: usize,
     /// Exponent of the assignment when sampling.
     pub power: f32,
+    /// How the kept are scored.
+    pub score: HypothesisScore,
+}
+
+/// Score of a hypothesis; the best one starts the fine stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HypothesisScore {
+    /// Matched sparse query points over the sum of their distances to the sparse reference points (paper and release).
+    #[default]
+    Distance,
+    /// Share of the dense query points that lie on the reference times that of the reference's on the query, each point
+    /// weighed by its distance.
+    MutualFit,
 }
 
 impl Default for ModelConfig {
@@ -170,6 +184,6 @@ impl Default for FineConfig {
 
 impl Default for HypothesisConfig {
     fn default() -> Self {
-        Self { proposals: 6000, kept: 300, power: 1.5 }
+        Self { proposals: 6000, kept: 300, power: 1.5, score: HypothesisScore::default() }
     }
 }

@@ -24,6 +24,11 @@ pub fn average_recall_interval(targets: &[TargetOutcome], resamples: usize, seed
     interval(targets.iter().map(|t| (image(t), t.credit())), resamples, seed)
 }
 
+/// Average recalls of VSD, MSSD and MSPD with their intervals.
+pub fn error_type_intervals(targets: &[TargetOutcome], resamples: usize, seed: u64) -> [Interval; 3] {
+    [0, 1, 2].map(|kind| interval(targets.iter().map(|t| (image(t), t.credits()[kind])), resamples, seed))
+}
+
 /// Difference of the average recalls `a - b` on the targets that both have, with its interval.
 pub fn paired_difference(a: &[TargetOutcome], b: &[TargetOutcome], resamples: usize, seed: u64) -> Interval {
     let key = |t: &TargetOutcome| (t.scene_id, t.im_id, t.obj_id, t.gt_index);

@@ -44,6 +44,18 @@ impl PoseErrors {
             translation: t_est.translation_distance(t_gt),
         }
     }
+
+    /// Share of BOP's thresholds that the errors stay below, averaged over VSD (and its tolerances), MSSD and MSPD: the
+    /// average recall of this pose alone.
+    pub fn credit(&self, diameter: f64, image_width: u32) -> f64 {
+        let below = |error: f64, limit: &dyn Fn(usize) -> f64| {
+            (0..THRESHOLDS).filter(|&i| error < limit(i)).count() as f64 / THRESHOLDS as f64
+        };
+        let vsd = self.vsd.iter().map(|&e| below(e, &threshold)).sum::<f64>() / TAUS as f64;
+        let pixels = MSPD_STEP * f64::from(image_width) / REFERENCE_WIDTH;
+        let mspd = below(self.mspd, &|i| pixels * (i + 1) as f64);
+        (vsd + below(self.mssd / diameter, &threshold) + mspd) / 3.0
+    }
 }
 
 /// Was a target found, by threshold?
@@ -74,9 +86,14 @@ pub struct TargetOutcome {
 impl TargetOutcome {
     /// The target's part in the average recall, in 0..=1: AR is the mean of it over all targets.
     pub fn credit(&self) -> f64 {
+        self.credits().iter().sum::<f64>() / 3.0
+    }
+
+    /// The parts in the average recalls of VSD, MSSD and MSPD.
+    pub fn credits(&self) -> [f64; 3] {
         let share = |hits: &[bool]| hits.iter().filter(|&&hit| hit).count() as f64 / hits.len() as f64;
         let Hits { vsd, mssd, mspd } = &self.hits;
-        (share(vsd.as_flattened()) + share(mssd) + share(mspd)) / 3.0
+        [share(vsd.as_flattened()), share(mssd), share(mspd)]
     }
 }
 

@@ -16,7 +16,7 @@ const COLLINEAR: f64 = 0.02;
 pub struct CoarsePose {
     /// Reference to query in the units of the clouds.
     pub pose: Pose,
-    /// Matched query points over the sum of their distances to the reference; 0 when nothing matched.
+    /// Matched query points over the sum of their distances to the reference, unless rescored; 0 when nothing matched.
     pub score: f64,
     /// All solved triplets.
     pub hypotheses: Vec<Hypothesis>,
@@ -36,6 +36,24 @@ pub struct Hypothesis {
     pub pose: Pose,
     /// Mean distance of the three matches under the pose.
     pub residual: f64,
+}
+
+impl CoarsePose {
+    /// Scores the kept hypotheses anew and lets the best of them win; the earlier one wins a draw.
+    pub fn rescored(self, score: impl Fn(&Pose) -> f64 + Send + Sync) -> Self {
+        let poses = self.kept.par_iter().with_min_len(8).map(|&h| &self.hypotheses[h].pose);
+        let kept_scores: Vec<f64> = poses.map(score).collect();
+        match (0..kept_scores.len()).reduce(|a, b| if kept_scores[b] > kept_scores[a] { b } else { a }) {
+            Some(best) => Self {
+                pose: self.hypotheses[self.kept[best]].pose,
+                score: kept_scores[best],
+                best: Some(best),
+                kept_scores,
+                ..self
+            },
+            None => self,
+        }
+    }
 }
 
 /// Cumulative distribution of the matches, `[N * M]`: weights^power of foreground pairs, summed in `f64`, rounded

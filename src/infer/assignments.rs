@@ -10,12 +10,28 @@ use crate::{
     model::BlockOutput,
 };
 
-/// An assignment on the host with the mean overlaps behind it.
+/// An assignment on the host with the overlaps behind it.
 #[derive(Clone, Debug)]
 pub struct Matched {
     pub assignment: Assignment,
+    /// Predicted overlap of every query and every reference point, 0..=1.
+    pub overlap: [Vec<f32>; 2],
+}
+
+impl Matched {
     /// Mean predicted overlap of the query's and the reference's points.
-    pub mean_overlap: [f64; 2],
+    pub fn mean_overlap(&self) -> [f64; 2] {
+        [0, 1].map(|side| {
+            let overlap: &[f32] = &self.overlap[side];
+            overlap.iter().map(|&x| f64::from(x)).sum::<f64>() / overlap.len().max(1) as f64
+        })
+    }
+
+    /// Share of the query's points that have a match.
+    pub fn matched_share(&self) -> f64 {
+        let labels = &self.assignment.label_query;
+        labels.iter().filter(|&&label| label > 0).count() as f64 / labels.len().max(1) as f64
+    }
 }
 
 /// One assignment per pair of the batch, in the form that `mode` names.
@@ -39,8 +55,6 @@ pub fn host_assignments(
         .map(|b| {
             let (n, m) = (rows - 1, columns - 1);
             let overlap = [&query[b * n..(b + 1) * n], &reference[b * m..(b + 1) * m]];
-            let mean_overlap =
-                overlap.map(|o| o.iter().map(|&x| x as f64).sum::<f64>() / o.len().max(1) as f64);
             let similarity = &similarity[b * rows * columns..(b + 1) * rows * columns];
             let assignment = match mode {
                 // Without overlap heads all overlaps are 1.
@@ -49,7 +63,7 @@ pub fn host_assignments(
                 }
                 OverlapMode::Paper => correlation_assignment(similarity, n, m),
             };
-            Matched { assignment, mean_overlap }
+            Matched { assignment, overlap: overlap.map(<[f32]>::to_vec) }
         })
         .collect();
     Ok(matched)

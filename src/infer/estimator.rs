@@ -10,16 +10,16 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use serde::Serialize;
 
 use super::{
-    CloudPair, EncodedReferences, InferError, PairEstimate, Reference, Refinement, StageTimes, Uniforms,
-    encode_references, estimate_encoded,
+    Calibration, CloudPair, EncodedReferences, Estimate, Evidence, InferError, PairEstimate, PairTrace,
+    Query, Reference, ReferenceColor, Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
+    trace_encoded,
 };
 use crate::{
     checkpoint,
     config::ModelConfig,
-    data::{CloudInput, prepare_query, prepare_reference},
+    data::{CloudInput, normalised_pose, prepare_query, prepare_reference},
     device::DeviceChoice,
     frame::{Mask, RgbdFrame},
     geometry::{Pose, StructureIndices},
@@ -42,65 +42,35 @@ const MAX_BATCH: usize = 8;
 /// Streams of the random numbers of one seed.
 const REFERENCE_STREAM: u64 = 1;
 const QUERY_STREAM: u64 = 2;
+const COLOR_STREAM: u64 = 3;
 
 /// Estimates poses of instances against reference views.
 #[derive(Debug)]
 pub struct PoseEstimator {
-    model: UnoPose,
-    config: ModelConfig,
-    device: Device,
-    backend: DeviceChoice,
+    pub(super) model: UnoPose,
+    pub(super) config: ModelConfig,
+    pub(super) device: Device,
+    pub(super) backend: DeviceChoice,
     /// Where the weights come from.
-    source: String,
-    seed: u64,
-    refinement: Refinement,
+    pub(super) source: String,
+    pub(super) seed: u64,
+    pub(super) refinement: Refinement,
+    pub(super) calibration: Option<Calibration>,
+    /// Replaces the calibration's threshold.
+    pub(super) min_confidence: Option<f64>,
+    pub(super) reference_color: ReferenceColor,
     /// See [`PoseEstimator::network`].
-    network: OnceLock<String>,
-}
-
-/// A query instance and the reference it is compared with.
-#[derive(Clone, Copy)]
-pub struct Query<'a> {
-    pub reference: &'a Reference,
-    pub frame: &'a RgbdFrame,
-    pub mask: &'a Mask,
-}
-
-/// The pose of one instance with what explains it.
-#[derive(Clone, Debug)]
-pub struct Estimate {
-    /// Reference camera to query camera, metres.
-    pub t_query_reference: Pose,
-    /// Confidence in [0, 1]: share of the query's points that are matched and lie on the reference.
-    pub score: f64,
-    /// Predicted share of the query's points that the reference sees, and of the reference's that the query sees.
-    pub overlap: [f64; 2],
-    /// Share of the query's points matched to a reference point.
-    pub matched: f64,
-    /// The pose of the coarse stage, metres.
-    pub t_query_reference_coarse: Pose,
-    /// Whether a refinement replaced the network's pose.
-    pub refined: bool,
-    pub timings: Timings,
-}
-
-/// Seconds per instance; what a batch shares is divided evenly.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Timings {
-    /// Crop, sampling, reference frame, structure.
-    pub prepare: f64,
-    #[serde(flatten)]
-    pub network: StageTimes,
-    pub refine: f64,
-    pub total: f64,
+    pub(super) network: OnceLock<String>,
 }
 
 impl PoseEstimator {
     /// The network of a checkpoint, with the configuration inside it.
     pub fn load(path: &Path, device: DeviceChoice) -> Result<Self, InferError> {
         let (device, backend) = device.open()?;
-        let (model, config, _) = checkpoint::load(path, &device)?;
-        Ok(Self::new(model, config.model, device, backend, path.display().to_string()))
+        let (model, config, meta) = checkpoint::load(path, &device)?;
+        let calibration = Calibration::from_metadata(&meta.extra, path)?;
+        let estimator = Self::new(model, config.model, device, backend, path.display().to_string());
+        Ok(Self { calibration, ..estimator })
     }
 
     /// The network that is compiled in; an error in builds without one.
@@ -108,8 +78,9 @@ impl PoseEstimator {
         let bytes = EMBEDDED.ok_or(InferError::NoCheckpoint { looked: Vec::new() })?;
         let (device, backend) = device.open()?;
         let name = format!("embedded {DEFAULT_CHECKPOINT}");
-        let (model, config, _) = checkpoint::load_bytes(bytes, &name, &device)?;
-        Ok(Self::new(model, config.model, device, backend, name))
+        let (model, config, meta) = checkpoint::load_bytes(bytes, &name, &device)?;
+        let calibration = Calibration::from_metadata(&meta.extra, Path::new(&name))?;
+        Ok(Self { calibration, ..Self::new(model, config.model, device, backend, name) })
     }
 
     /// `checkpoints/geo.safetensors` beside the binary, else in the working directory, else the embedded one.
@@ -136,42 +107,19 @@ impl PoseEstimator {
         backend: DeviceChoice,
         source: String,
     ) -> Self {
-        let refinement = Refinement::None;
-        Self { model, config, device, backend, source, seed: 0, refinement, network: OnceLock::new() }
-    }
-
-    /// Seed of point sampling and hypotheses, 0 at first.
-    pub fn with_seed(mut self, seed: u64) -> Self {
-        self.seed = seed;
-        self
-    }
-
-    /// Refinement after the network, none at first.
-    pub fn with_refinement(mut self, refinement: Refinement) -> Self {
-        self.refinement = refinement;
-        self
-    }
-
-    pub fn config(&self) -> &ModelConfig {
-        &self.config
-    }
-
-    pub fn refinement(&self) -> Refinement {
-        self.refinement
-    }
-
-    pub fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    /// Where the weights come from.
-    pub fn source(&self) -> &str {
-        &self.source
-    }
-
-    /// The backend in use.
-    pub fn backend(&self) -> DeviceChoice {
-        self.backend
+        Self {
+            model,
+            config,
+            device,
+            backend,
+            source,
+            seed: 0,
+            refinement: Refinement::None,
+            calibration: None,
+            min_confidence: None,
+            reference_color: ReferenceColor::Keep,
+            network: OnceLock::new(),
+        }
     }
 
     /// Checksums of the weights and of the configuration: equal for equal networks, wherever they come from.
@@ -205,8 +153,9 @@ impl PoseEstimator {
     pub fn reference(&self, frame: &RgbdFrame, mask: &Mask) -> Result<Reference, InferError> {
         let start = Instant::now();
         let mut rng = self.stream(REFERENCE_STREAM);
+        let colored = self.reference_color.apply(frame, mask, &mut self.stream(COLOR_STREAM));
         let prepared =
-            prepare_reference(frame, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
+            prepare_reference(&colored, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
         let encoded = encode_references(&self.model, &self.config, &[&prepared], &self.device);
         let reference = Reference {
             cloud: prepared.cloud,
@@ -255,6 +204,26 @@ impl PoseEstimator {
             .collect()
     }
 
+    /// One instance with everything that led to its pose.
+    pub fn trace(&self, query: &Query<'_>) -> Result<Trace, InferError> {
+        let (cloud, prepare) = self.prepare(query)?;
+        let (mut traces, times) = self.run(&[(query, &cloud, prepare)], None)?;
+        let stages = traces.pop().ok_or(InferError::NotFinite)?;
+        let pair = stages.estimate(&query.reference.pair(&cloud));
+        Ok(Trace { estimate: self.finish(query, prepare, pair, times)?, stages, cloud })
+    }
+
+    /// The pose of the fine stage when it starts from `t_query_reference` (metres) instead of the coarse pose; `None`
+    /// without a fine stage.
+    pub fn fine_from(&self, query: &Query<'_>, t_query_reference: &Pose) -> Result<Option<Pose>, InferError> {
+        let (cloud, prepare) = self.prepare(query)?;
+        let pair = query.reference.pair(&cloud);
+        let start = normalised_pose(t_query_reference, cloud.center, pair.reference.center, pair.radius);
+        let (mut traces, _) = self.run(&[(query, &cloud, prepare)], Some(&[start]))?;
+        let stages = traces.pop().filter(|stages| stages.fine.is_some());
+        Ok(stages.map(|stages| stages.estimate(&pair).t_query_reference))
+    }
+
     fn prepare(&self, query: &Query<'_>) -> Result<(CloudInput, f64), InferError> {
         let start = Instant::now();
         let mut rng = self.stream(QUERY_STREAM);
@@ -264,24 +233,16 @@ impl PoseEstimator {
     }
 
     fn estimate_chunk(&self, chunk: &[(&Query<'_>, &CloudInput, f64)]) -> Vec<Result<Estimate, InferError>> {
-        let pairs: Vec<CloudPair<'_>> = chunk
-            .iter()
-            .map(|(query, cloud, _)| CloudPair {
-                query: cloud,
-                reference: &query.reference.cloud,
-                radius: query.reference.radius,
-            })
-            .collect();
-        let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
-        let Some(references) = EncodedReferences::batch(&references) else { return Vec::new() };
-        let uniforms = Uniforms::Shared(self.seed);
-        match estimate_encoded(&self.model, &self.config, &pairs, &references, uniforms, &self.device) {
-            Ok((estimates, times)) => {
+        match self.run(chunk, None) {
+            Ok((traces, times)) => {
                 let share = times.divided(chunk.len());
                 chunk
                     .par_iter()
-                    .zip(estimates)
-                    .map(|((query, _, prepare), pair)| self.finish(query, *prepare, pair, share))
+                    .zip(traces)
+                    .map(|((query, cloud, prepare), stages)| {
+                        let pair = stages.estimate(&query.reference.pair(cloud));
+                        self.finish(query, *prepare, pair, share)
+                    })
                     .collect()
             }
             // One failed pass fails all of its pairs.
@@ -291,6 +252,22 @@ impl PoseEstimator {
                 chunk.iter().map(failed).collect()
             }
         }
+    }
+
+    /// The network on prepared queries, as one batch.
+    fn run(
+        &self,
+        chunk: &[(&Query<'_>, &CloudInput, f64)],
+        given: Option<&[Pose]>,
+    ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+        let pairs: Vec<CloudPair<'_>> =
+            chunk.iter().map(|(query, cloud, _)| query.reference.pair(cloud)).collect();
+        let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
+        let Some(references) = EncodedReferences::batch(&references) else {
+            return Ok((Vec::new(), StageTimes::default()));
+        };
+        let uniforms = Uniforms::Shared(self.seed);
+        trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }
 
     fn finish(
@@ -305,17 +282,23 @@ impl PoseEstimator {
         if !pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
+        let points = query.frame.masked_points(query.mask);
         if let Some(settings) = self.refinement.settings()
             && let Some(surface) = query.reference.surface()
         {
-            let points = query.frame.masked_points(query.mask);
             pose = refine_with(&points, surface, &pose, &settings).t_query_reference;
         }
         let refine = start.elapsed().as_secs_f64();
+        let evidence = Evidence { points: points.len(), ..pair.evidence };
+        let judge = |calibration: &Calibration| {
+            calibration.judge(&evidence, self.min_confidence.unwrap_or(calibration.threshold))
+        };
         Ok(Estimate {
             refined: pose != pair.t_query_reference,
             t_query_reference: pose,
             score: pair.score,
+            confidence: self.calibration.as_ref().map(judge),
+            evidence,
             overlap: pair.overlap,
             matched: pair.matched,
             t_query_reference_coarse: pair.t_query_reference_coarse,

@@ -6,27 +6,37 @@
 //! with it.
 
 mod assignments;
+mod confidence;
 mod error;
+mod estimate;
 mod estimator;
 mod one_pair;
 mod pairs;
 mod reference;
+mod reference_color;
 mod reference_file;
+mod settings;
 mod target_list;
 mod target_references;
 mod targets;
+mod trace;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
+pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose, Term};
 pub use error::InferError;
-pub use estimator::{Estimate, PoseEstimator, Query, Timings};
+pub use estimate::{Estimate, Query, Timings, Trace};
+pub use estimator::PoseEstimator;
 pub use pairs::{
     CloudPair, EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
-    estimate_pairs,
+    estimate_pairs, trace_encoded,
 };
 pub use reference::Reference;
+pub use reference_color::ReferenceColor;
 pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
+pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
+pub use trace::{FineTrace, PairTrace, sparse_points};
 pub use view_files::{View, ViewFiles, query_folder};
 
-pub use crate::registration::{IcpOutcome, IcpReference, Refinement, refine};
+pub use crate::registration::{IcpOutcome, IcpReference, Refinement, icp::refine_with, refine};

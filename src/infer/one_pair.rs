@@ -17,7 +17,8 @@ impl PairEstimator for PoseEstimator {
     /// Of the network, the seed and the refinement.
     fn fingerprint(&self) -> String {
         let network = self.network().unwrap_or_default();
-        format!("{network} seed {} {:?}", self.seed(), self.refinement().settings())
+        let (refinement, color) = (self.refinement().settings(), self.reference_color());
+        format!("{network} seed {} {refinement:?} {color}", self.seed())
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {

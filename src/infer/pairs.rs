@@ -7,11 +7,11 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{InferError, Matched, host_assignments};
+use super::{Evidence, InferError, Matched, PairTrace, host_assignments, trace::sparse_points};
 use crate::{
-    config::ModelConfig,
-    data::{CloudInput, PreparedReference, metric_pose, positional_groups},
-    geometry::{Pose, coarse_pose, fine_pose},
+    config::{HypothesisScore, ModelConfig},
+    data::{CloudInput, PreparedReference, positional_groups},
+    geometry::{MutualFit, Pose, coarse_pose},
     model::{CloudFeatures, CloudTensors, Supervision, UnoPose, group_tensors},
 };
 
@@ -25,12 +25,14 @@ pub struct PairEstimate {
     pub score: f64,
     /// Coarse pose, metres.
     pub t_query_reference_coarse: Pose,
-    /// Coarse hypothesis score, 1/radius.
+    /// Score of the coarse hypothesis, see [`HypothesisScore`].
     pub coarse_score: f64,
     /// Mean predicted overlap of the query's and the reference's points.
     pub overlap: [f64; 2],
     /// Share of query points matched to a reference point.
     pub matched: f64,
+    /// What speaks for the pose.
+    pub evidence: Evidence,
 }
 
 /// Where the time of a batch went.
@@ -186,6 +188,21 @@ pub fn estimate_encoded(
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
+    let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
+    Ok((traces.iter().zip(pairs).map(|(trace, pair)| trace.estimate(pair)).collect(), times))
+}
+
+/// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
+/// the fine stage starts instead of at the coarse hypotheses.
+pub fn trace_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    references: &EncodedReferences,
+    uniforms: Uniforms<'_>,
+    given: Option<&[Pose]>,
+    device: &Device,
+) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
     let mut times = StageTimes::default();
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
@@ -211,29 +228,37 @@ pub fn estimate_encoded(
         .par_iter()
         .zip(&coarse)
         .enumerate()
-        .map(|(index, (pair, matched))| {
-            let sparse = |cloud: &CloudInput| -> Vec<[f32; 3]> {
-                cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
-            };
-            coarse_pose(
+        .map(|(index, (&CloudPair { query, reference, .. }, matched))| {
+            let coarse = coarse_pose(
                 &matched.assignment,
-                &sparse(pair.query),
-                &sparse(pair.reference),
+                &sparse_points(query),
+                &sparse_points(reference),
                 &config.hypotheses,
                 uniforms.stream(index),
                 config.quirks.degenerate_triplets,
-            )
+            );
+            match config.hypotheses.score {
+                HypothesisScore::Distance => coarse,
+                HypothesisScore::MutualFit => {
+                    let fit = MutualFit::new(&query.points, &reference.points);
+                    coarse.rescored(|pose| fit.score(pose))
+                }
+            }
         })
         .collect();
     times.hypotheses = lap();
 
+    let starts: Vec<Pose> = match given {
+        Some(starts) => starts.to_vec(),
+        None => initial.iter().map(|coarse| coarse.pose).collect(),
+    };
     let fine = match (&model.fine_point_matching, &references.position) {
         (Some(stage), Some(reference_position)) => {
             let groups: Vec<_> = pairs
                 .par_iter()
-                .zip(&initial)
-                .map(|(pair, coarse)| {
-                    let t_reference_query = coarse.pose.inverse();
+                .zip(&starts)
+                .map(|(pair, start)| {
+                    let t_reference_query = start.inverse();
                     let moved: Vec<[f32; 3]> =
                         pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
                     positional_groups(&moved, config)
@@ -251,44 +276,18 @@ pub fn estimate_encoded(
     };
     times.fine = lap();
 
-    let estimates = pairs
+    let fine: Vec<Option<Matched>> = match fine {
+        Some(fine) => fine.into_iter().map(Some).collect(),
+        None => vec![None; pairs.len()],
+    };
+    let stages: Vec<_> = coarse.into_iter().zip(initial).zip(starts).zip(fine).collect();
+    let traces = pairs
         .par_iter()
-        .enumerate()
-        .map(|(index, &CloudPair { query, reference, radius })| {
-            let metric = |pose: &Pose| metric_pose(pose, query.center, reference.center, radius);
-            let coarse_pose = &initial[index];
-            let matched = fine.as_ref().map_or(&coarse[index], |fine| &fine[index]);
-            let (pose, score) = match &fine {
-                Some(_) => {
-                    let solved = fine_pose(&matched.assignment, &query.points, &reference.points);
-                    (solved.pose, solved.score)
-                }
-                None => (coarse_pose.pose, coarse_confidence(query, reference, &coarse_pose.pose, matched)),
-            };
-            let foreground = matched.assignment.foreground_query();
-            PairEstimate {
-                t_query_reference: metric(&pose),
-                score,
-                t_query_reference_coarse: metric(&coarse_pose.pose),
-                coarse_score: coarse_pose.score,
-                overlap: matched.mean_overlap,
-                matched: foreground.iter().map(|&f| f as f64).sum::<f64>() / foreground.len().max(1) as f64,
-            }
+        .zip(stages)
+        .map(|(pair, (((coarse, initial), start), fine))| {
+            PairTrace::new(pair, (coarse, initial), (start, fine))
         })
         .collect();
     times.solve = lap();
-    Ok((estimates, times))
-}
-
-/// The fine stage's confidence (section 6) on the coarse matches.
-fn coarse_confidence(query: &CloudInput, reference: &CloudInput, pose: &Pose, matched: &Matched) -> f64 {
-    let t_reference_query = pose.inverse();
-    let moved: Vec<[f32; 3]> =
-        query.sparse.iter().map(|&i| t_reference_query.transform_f32(&query.points[i as usize])).collect();
-    let distances = crate::geometry::nearest_distances(&moved, &reference.points);
-    let foreground = matched.assignment.foreground_query();
-    let total: f64 = foreground.iter().map(|&f| f as f64).sum();
-    let near: f64 =
-        foreground.iter().zip(&distances).filter(|(_, d)| **d < 0.15).map(|(&f, _)| f as f64).sum();
-    near / (total + 1e-8) * (total / foreground.len().max(1) as f64)
+    Ok((traces, times))
 }

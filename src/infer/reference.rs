@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-use super::{EncodedReferences, IcpReference};
+use super::{CloudPair, EncodedReferences, IcpReference};
 use crate::data::CloudInput;
 
 /// A reference view, prepared and encoded once for any number of queries.
@@ -22,6 +22,16 @@ impl Reference {
     /// All measured points of the masked view, metres, reference camera's frame.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points
+    }
+
+    /// The view as the network sees it.
+    pub fn cloud(&self) -> &CloudInput {
+        &self.cloud
+    }
+
+    /// Beside a query's cloud that was prepared against this reference.
+    pub fn pair<'a>(&'a self, query: &'a CloudInput) -> CloudPair<'a> {
+        CloudPair { query, reference: &self.cloud, radius: self.radius }
     }
 
     /// The surface for refinement, made on first use; `None` when the points make none.

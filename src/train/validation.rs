@@ -139,7 +139,7 @@ impl Validation {
         let view = TestView { depth: &frame.depth, camera: &frame.intrinsics, delta: VSD_DELTA };
         let rendered = view.render(object, &truth.t_query_object);
         let errors = PoseErrors::new(object, &view, t, &truth.t_query_object, &rendered);
-        Ok(Some(recall_of(&errors, object.diameter, frame.width())))
+        Ok(Some(errors.credit(object.diameter, frame.width())))
     }
 
     /// Where the pairs' images are.
@@ -193,15 +193,6 @@ fn summary(errors: &[PoseError], coarse: &[PoseError], loss_sum: f64) -> Validat
     }
 }
 
-/// Share of BOP's thresholds that the errors stay below, averaged over VSD (and its tolerances), MSSD and MSPD.
-fn recall_of(errors: &PoseErrors, diameter: f64, image_width: u32) -> f64 {
-    let share =
-        |error: f64, step: f64| (1..=10).filter(|&i| error < step * f64::from(i)).count() as f64 / 10.0;
-    let vsd = errors.vsd.iter().map(|&e| share(e, 0.05)).sum::<f64>() / errors.vsd.len() as f64;
-    let mspd = share(errors.mspd, 5.0 * f64::from(image_width) / 640.0);
-    (vsd + share(errors.mssd / diameter, 0.05) + mspd) / 3.0
-}
-
 /// Middle value, the mean of the two middle ones for an even count, 0 for none.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
@@ -238,15 +229,6 @@ mod tests {
         let symmetries = ObjectSymmetries { discrete: vec![], continuous: vec![axis] };
         let round = Truth { t_query_object, symmetries };
         assert!(PoseError::new(&round, &round.implied(&truth, &estimate)).rotation_deg < 1e-6);
-    }
-
-    #[test]
-    fn recall_counts_thresholds_of_all_three_errors() {
-        let mut vsd = [1.0; crate::eval::TAUS];
-        vsd[0] = 0.0;
-        // VSD: one tolerance of ten at all thresholds; MSSD 12 % of the diameter: 8 of 10; MSPD 3 px of 320: 9 of 10.
-        let errors = PoseErrors { vsd, mssd: 0.012, mspd: 3.0, rotation_deg: 0.0, translation: 0.0 };
-        assert!((recall_of(&errors, 0.1, 320) - (0.1 + 0.8 + 0.9) / 3.0).abs() < 1e-12);
     }
 
     #[test]

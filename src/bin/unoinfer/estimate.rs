@@ -196,6 +196,9 @@ fn fields(estimate: &Estimate) -> serde_json::Value {
     json!({
         "T_query_reference": pose(&estimate.t_query_reference),
         "score": estimate.score,
+        "confidence": estimate.confidence.as_ref().map(|c| c.probability),
+        "confident": estimate.confidence.as_ref().map(|c| c.confident),
+        "reasons": estimate.confidence.as_ref().map(|c| &c.reasons),
         "overlap": estimate.overlap[0],
         "overlap_reference": estimate.overlap[1],
         "matched": estimate.matched,
@@ -221,8 +224,16 @@ fn line(files: &ViewFiles, index: usize, estimate: &Estimate) -> String {
     let (r, t) = (estimate.t_query_reference.rotation_row_major(), estimate.t_query_reference.translation);
     let r = r.map(|x| format!("{x:.4}")).join(" ");
     let mask = files.masks.get(index).map(|mask| mask.display().to_string()).unwrap_or_default();
+    let confidence = match &estimate.confidence {
+        None => "confidence unknown (the checkpoint has no calibration)".into(),
+        Some(confidence) if confidence.confident => format!("confidence {:.2}", confidence.probability),
+        Some(confidence) => {
+            let reasons: Vec<&str> = confidence.reasons.iter().map(|reason| reason.text.as_str()).collect();
+            format!("not confident ({:.2}: {})", confidence.probability, reasons.join("; "))
+        }
+    };
     format!(
-        "{mask}: R [{r}] t [{:.4} {:.4} {:.4}] m, score {:.3}, overlap {:.2}, {:.3} s",
+        "{mask}: R [{r}] t [{:.4} {:.4} {:.4}] m, score {:.3}, overlap {:.2}, {confidence}, {:.3} s",
         t.x, t.y, t.z, estimate.score, estimate.overlap[0], estimate.timings.total
     )
 }

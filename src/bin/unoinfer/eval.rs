@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use unopose::{
     eval::{score_poses, write_poses},
-    infer::{Refinement, TargetFiles, TargetList, estimate_targets},
+    infer::{ReferenceColor, Refinement, TargetFiles, TargetList, estimate_targets},
 };
 
 use super::{options::EstimatorOptions, progress::Progress, score};
@@ -36,6 +36,12 @@ pub struct EvalArguments {
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
+    /// Colours of the references, to measure what they contribute: keep, gray or shuffled (in random places)
+    #[arg(long, value_name = "COLORS", default_value = "keep")]
+    reference_color: ReferenceColor,
+    /// Draw the weights anew from the seed: what training has to beat
+    #[arg(long)]
+    untrained: bool,
     #[command(flatten)]
     estimator: EstimatorOptions,
 }
@@ -49,7 +55,11 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         detections: arguments.detections.clone(),
         limit: arguments.limit,
     })?;
-    let estimator = arguments.estimator.estimator()?;
+    let mut estimator = arguments.estimator.estimator()?.with_reference_color(arguments.reference_color);
+    if arguments.untrained {
+        let seed = estimator.seed();
+        estimator = estimator.untrained(seed);
+    }
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
     let progress = Progress::new("estimating");
     let poses = estimate_targets(&estimator, &list, &mut |done, total| progress.set(done, total))?;

@@ -1,6 +1,8 @@
 //! `unoinfer`: poses of objects against one reference view, evaluation on BOP datasets, scoring of result tables.
 
+mod analyse;
 mod bench;
+mod calibrate;
 mod convert;
 mod estimate;
 mod eval;
@@ -25,6 +27,10 @@ enum Command {
     Estimate(estimate::EstimateArguments),
     /// Estimate every target of a BOP dataset and score the poses
     Eval(eval::EvalArguments),
+    /// Measure every stage of the network on targets whose poses are known
+    Analyse(analyse::AnalyseArguments),
+    /// Fit the confidence of a checkpoint on synthetic pairs and store it in the checkpoint
+    Calibrate(calibrate::CalibrateArguments),
     /// Compare methods, classical ones and the network, on the targets of a BOP dataset
     Bench(bench::BenchArguments),
     /// Score a BOP result table
@@ -44,6 +50,8 @@ fn main() -> std::process::ExitCode {
     let done = match Arguments::parse().command {
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Analyse(arguments) => analyse::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),

@@ -24,6 +24,16 @@ pub struct EstimatorOptions {
     /// Seed of point sampling and pose hypotheses
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Confidence below which an estimate is reported as not confident [default: that of the checkpoint's calibration]
+    #[arg(long, value_name = "P", value_parser = probability)]
+    min_confidence: Option<f64>,
+}
+
+fn probability(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(p) if (0.0..=1.0).contains(&p) => Ok(p),
+        _ => Err(format!("{text:?}, expected a number from 0 to 1")),
+    }
 }
 
 impl EstimatorOptions {
@@ -32,6 +42,9 @@ impl EstimatorOptions {
             Some(path) => PoseEstimator::load(path, self.device)?,
             None => PoseEstimator::load_default(self.device)?,
         };
-        Ok(estimator.with_seed(self.seed).with_refinement(self.refine))
+        Ok(estimator
+            .with_seed(self.seed)
+            .with_refinement(self.refine)
+            .with_min_confidence(self.min_confidence))
     }
 }

@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use unopose::eval::{AverageRecall, Evaluation, ScoreFiles, score_files};
+use unopose::eval::{
+    AverageRecall, Evaluation, Interval, ScoreFiles, average_recall_interval, error_type_intervals,
+    score_files,
+};
 
 use super::progress::Progress;
 
@@ -51,6 +54,9 @@ pub fn run(arguments: &ScoreArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Draws of the intervals, and their seed.
+const RESAMPLES: (usize, u64) = (2000, 0);
+
 /// The scores as a table on stdout.
 pub fn print(evaluation: &Evaluation) {
     let scores = &evaluation.scores;
@@ -60,6 +66,15 @@ pub fn print(evaluation: &Evaluation) {
     };
     println!("{:<16} {:>7} {:>7} {:>7} {:>7} {:>8}", "", "AR", "VSD", "MSSD", "MSPD", "targets");
     line("all", &scores.recall);
+    let (draws, seed) = RESAMPLES;
+    let [vsd, mssd, mspd] = error_type_intervals(&evaluation.targets, draws, seed);
+    let all = [average_recall_interval(&evaluation.targets, draws, seed), vsd, mssd, mspd];
+    let ends = |name: &str, end: fn(&Interval) -> f64| {
+        let [ar, vsd, mssd, mspd] = all.map(|interval| end(&interval));
+        println!("{name:<16} {ar:>7.4} {vsd:>7.4} {mssd:>7.4} {mspd:>7.4}");
+    };
+    ends("95 % from", |interval| interval.low);
+    ends("95 % to", |interval| interval.high);
     for (id, recall) in &scores.per_object {
         line(&format!("object {id}"), recall);
     }

@@ -4,7 +4,8 @@
 //! Every iteration matches the query's points to the reference surface, weighs them down smoothly to zero at a
 //! distance limit that shrinks from iteration to iteration, and solves for a small motion. Directions of motion that
 //! the surface does not determine (a plane slides on itself, a cylinder turns) stay as they are. The result is
-//! taken only when it stays near its start and explains the query clearly better; otherwise the start is returned.
+//! taken only when it stays near its start and explains the query better than noise would; otherwise the start is
+//! returned.
 
 mod iterate;
 mod residual;
@@ -48,6 +49,9 @@ pub struct IcpSettings {
     pub min_eigenvalue: f64,
     /// Share of the start's residual that the result has to be below.
     pub gain: f64,
+    /// By how many standard errors of a variance the squared residual has to fall: that of n pixels is known up to a share
+    /// of about 1 / sqrt(n), so small objects need a clearer gain.
+    pub noise: f64,
 }
 
 impl IcpSettings {
@@ -59,6 +63,7 @@ impl IcpSettings {
         iterations: 24,
         min_eigenvalue: 0.005,
         gain: 0.95,
+        noise: 20.0,
     };
     pub const GENERALIZED: Self = Self { metric: Metric::PlaneToPlane, ..Self::POINT_TO_PLANE };
 }
@@ -108,6 +113,7 @@ pub fn refine_with(
     settings: &IcpSettings,
 ) -> IcpOutcome {
     let reference = &reference.surface;
+    let pixels = query.len().max(1) as f64;
     let unchanged =
         IcpOutcome { t_query_reference: *start, accepted: false, residual: [0.0; 2], motion: [0.0; 2] };
     let Ok(query) = Surface::new(query, reference.cell, "query") else { return unchanged };
@@ -123,7 +129,9 @@ pub fn refine_with(
     let refined = refined.inverse();
     let motion = motion(start, &refined, &reference.center);
     // Comparisons with NaN are false: nothing that is not a number is accepted.
-    let accepted = motion[0] <= MAX_SHIFT && motion[1] <= MAX_TURN_DEG && after < settings.gain * before;
+    let is_local = motion[0] <= MAX_SHIFT && motion[1] <= MAX_TURN_DEG;
+    let is_clear = before * before > after * after * (1.0 + settings.noise / pixels.sqrt());
+    let accepted = is_local && is_clear && after < settings.gain * before;
     IcpOutcome {
         t_query_reference: if accepted { refined } else { *start },
         accepted,

@@ -68,6 +68,23 @@ fn it_stays_local_and_never_makes_it_worse() {
 }
 
 #[test]
+fn a_start_as_good_as_the_noise_is_kept() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let reference = IcpReference::new(&sheet(-0.08, 0.16, 0.0008, &mut rng)).unwrap();
+    for count in [300, 8000] {
+        let cloud = sheet(-0.08, 0.16, 0.0008, &mut rng);
+        let start = off(0.1, 0.0001);
+        let outcome = refine_with(&cloud[..count], &reference, &start, &IcpSettings::POINT_TO_PLANE);
+        assert_eq!(outcome.t_query_reference, start, "{outcome:?}");
+        // A start beyond the noise is still refined.
+        let outcome =
+            refine_with(&cloud[..count], &reference, &off(6.0, 0.004), &IcpSettings::POINT_TO_PLANE);
+        let (shift, turn) = errors(&outcome.t_query_reference, &Pose::identity());
+        assert!(outcome.accepted && shift < 0.002 && turn < 1.5, "{shift} m, {turn} deg, {outcome:?}");
+    }
+}
+
+#[test]
 fn undetermined_directions_keep_the_start() {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let noise = Normal::new(0.0, 0.0007).unwrap();

@@ -1,0 +1,26 @@
+//! Why an analysis ended.
+
+use crate::{
+    checkpoint::CheckpointError, eval::EvalError, formats::FormatError, infer::InferError,
+    report::ReportError,
+};
+
+/// Error of the `analysis` room.
+#[derive(Debug, thiserror::Error)]
+pub enum AnalysisError {
+    #[error(
+        "{right} of {pairs} pairs are right, expected at least 20 right and 20 wrong ones: calibrate on more or more \
+         varied pairs"
+    )]
+    TooFewOutcomes { pairs: usize, right: usize },
+    #[error(transparent)]
+    Infer(#[from] InferError),
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    #[error(transparent)]
+    Eval(#[from] EvalError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    #[error(transparent)]
+    Report(#[from] ReportError),
+}
