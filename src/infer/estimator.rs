@@ -46,9 +46,9 @@ const QUERY_STREAM: u64 = 2;
 /// Estimates poses of instances against reference views.
 #[derive(Debug)]
 pub struct PoseEstimator {
-    model: UnoPose,
-    config: ModelConfig,
-    device: Device,
+    pub(super) model: UnoPose,
+    pub(super) config: ModelConfig,
+    pub(super) device: Device,
     backend: DeviceChoice,
     /// Where the weights come from.
     source: String,
@@ -286,7 +286,7 @@ impl PoseEstimator {
         })
     }
 
-    fn stream(&self, stream: u64) -> ChaCha8Rng {
+    pub(super) fn stream(&self, stream: u64) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(stream);
         rng
