@@ -18,6 +18,7 @@ mod outcome;
 mod pose_error;
 mod scores;
 mod scoring;
+mod segmentation;
 mod vsd;
 
 pub use benchmark::{score_poses, write_poses};
@@ -34,6 +35,7 @@ pub use outcome::{Hits, PoseErrors, TargetOutcome};
 pub use pose_error::{mspd, mssd, rotation_error_deg};
 pub use scores::{AverageRecall, BinScore, MeanTimes, Scores, average_recall};
 pub use scoring::{Evaluation, ScoreFiles, ScoreOptions, score_files, score_results};
+pub use segmentation::{SegmentationScores, score_segmentation};
 pub use vsd::{TestView, vsd};
 
 /// Number of misalignment tolerances of VSD.

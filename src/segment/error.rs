@@ -9,6 +9,8 @@ pub enum SegmentError {
     Reference { reason: String },
     #[error("{what} is {value}, expected {expected}")]
     Prompt { what: &'static str, value: String, expected: String },
+    #[error("not found: {proposals} proposals in {image}, none is like the reference")]
+    NotFound { image: String, proposals: usize },
     #[error("the network's {what} cannot be read back from the device: {message}")]
     Readback { what: &'static str, message: String },
     #[error(transparent)]

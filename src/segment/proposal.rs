@@ -6,6 +6,9 @@ use crate::frame::{BoundingBox, Mask, RgbdFrame};
 /// Proposals per image at most.
 pub const MAX_PROPOSALS: usize = 100;
 
+/// Scene and image of a dataset.
+pub type ImageKey = (u32, u32);
+
 /// A candidate mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proposal {
@@ -22,10 +25,11 @@ impl Proposal {
     }
 }
 
-/// Proposes masks of an image, best first, at most [`MAX_PROPOSALS`].
+/// Proposes masks of an image, best first, at most [`MAX_PROPOSALS`]. `image` says which image of a
+/// dataset it is, for generators that look results up.
 pub trait ProposalGenerator: Send + Sync {
     /// Short, of letters, digits and dashes.
     fn name(&self) -> String;
 
-    fn proposals(&self, frame: &RgbdFrame) -> Result<Vec<Proposal>, SegmentError>;
+    fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
 }

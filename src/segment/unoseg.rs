@@ -2,8 +2,11 @@
 
 use std::time::Instant;
 
-use super::{Assigned, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
-use crate::{formats::{detections::Detection, rle::Rle}, frame::RgbdFrame};
+use super::{Assigned, ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
+use crate::{
+    formats::{detections::Detection, rle::Rle},
+    frame::RgbdFrame,
+};
 
 /// A proposal generator with a matcher.
 pub struct UnoSeg<'a, M: Matcher> {
@@ -30,9 +33,14 @@ impl<M: Matcher> UnoSeg<'_, M> {
     }
 
     /// Finds objects in an image. An image without proposals has none of them.
-    pub fn segment(&self, frame: &RgbdFrame, objects: &[&M::Object]) -> Result<Segmentation, SegmentError> {
+    pub fn segment(
+        &self,
+        frame: &RgbdFrame,
+        image: Option<ImageKey>,
+        objects: &[&M::Object],
+    ) -> Result<Segmentation, SegmentError> {
         let start = Instant::now();
-        let proposals = self.generator.proposals(frame)?;
+        let proposals = self.generator.proposals(frame, image)?;
         let proposal_seconds = start.elapsed().as_secs_f64();
         let found = match proposals.is_empty() || objects.is_empty() {
             true => Vec::new(),
@@ -44,7 +52,14 @@ impl<M: Matcher> UnoSeg<'_, M> {
 
 impl Proposal {
     /// The proposal in the list format of detections.
-    pub fn detection(&self, scene_id: u32, image_id: u32, category_id: u32, score: f64, time: f64) -> Detection {
+    pub fn detection(
+        &self,
+        scene_id: u32,
+        image_id: u32,
+        category_id: u32,
+        score: f64,
+        time: f64,
+    ) -> Detection {
         let b = &self.bounds;
         Detection {
             scene_id,

@@ -1,6 +1,9 @@
 //! `unoinfer estimate`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -10,10 +13,11 @@ use unopose::{
     formats::files::write_json,
     geometry::Pose,
     infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder},
+    registration::MaskedView,
     report::overlay,
 };
 
-use super::{options::EstimatorOptions, progress::Progress};
+use super::{options::EstimatorOptions, progress::Progress, segment::find_masks};
 
 /// Colours of the instances' points.
 const COLORS: [Rgb<u8>; 6] = [
@@ -33,8 +37,9 @@ pub struct EstimateArguments {
     /// Depth image of the query, registered to the colour image
     #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
     query_depth: Option<PathBuf>,
-    /// Mask of an instance in the query; several times for several instances
-    #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
+    /// Mask of an instance in the query; several times for several instances [default: found by segmentation, exit code
+    /// 3 when the object is not there]
+    #[arg(long, value_name = "FILE")]
     query_mask: Vec<PathBuf>,
     /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
     /// when it is not --camera; results go to OUT/NAME/
@@ -80,7 +85,14 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
-        if let Err(error) = estimate_view(&estimator, &reference, files, &out) {
+        let found = match files.masks.is_empty() {
+            true => {
+                find_masks(&estimator, MaskedView { frame: &view.frame, mask }, files, &out).map(Cow::Owned)
+            }
+            false => Ok(Cow::Borrowed(files)),
+        };
+        let estimated = found.and_then(|files| estimate_view(&estimator, &reference, &files, &out));
+        if let Err(error) = estimated {
             // One bad query of a folder does not stop the others.
             if queries.len() == 1 {
                 return Err(error);

@@ -15,7 +15,7 @@ mod regions;
 
 pub use grid::lab;
 
-use super::{MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
+use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
 use crate::frame::{Mask, RgbdFrame};
 use grid::Grid;
 
@@ -31,7 +31,7 @@ impl ProposalGenerator for EmbeddedProposals {
         "embedded".into()
     }
 
-    fn proposals(&self, frame: &RgbdFrame) -> Result<Vec<Proposal>, SegmentError> {
+    fn proposals(&self, frame: &RgbdFrame, _: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
         Ok(propose(frame))
     }
 }

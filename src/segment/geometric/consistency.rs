@@ -56,7 +56,13 @@ impl ColoredPoints {
     }
 
     /// Compares under `t_query_reference`; `reach` metres off the surface is still on it.
-    pub fn consistency(&self, query: &RgbdFrame, mask: &Mask, t_query_reference: &Pose, reach: f32) -> Consistency {
+    pub fn consistency(
+        &self,
+        query: &RgbdFrame,
+        mask: &Mask,
+        t_query_reference: &Pose,
+        reach: f32,
+    ) -> Consistency {
         let Some(bounds) = mask.bounding_box() else { return Consistency::default() };
         let (width, height) = (query.width().min(mask.width), query.height().min(mask.height));
         let extent = (bounds.col_max - bounds.col_min).max(bounds.row_max - bounds.row_min);

@@ -1,9 +1,6 @@
 //! Colours of a masked view as a histogram over CIE L*a*b*.
 
-use crate::{
-    frame::Mask,
-    segment::embedded::lab,
-};
+use crate::{frame::Mask, segment::embedded::lab};
 
 /// Bins of lightness and of each chroma axis. Lightness is coarse: it changes most between images.
 const BINS: [usize; 3] = [5, 12, 12];

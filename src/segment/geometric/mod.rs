@@ -138,7 +138,8 @@ impl GeometricMatcher<'_> {
             let seen = object.points.consistency(frame, mask, &estimate.t_query_reference, reach);
             let agreement = seen.surface * seen.inside * seen.covered;
             let appearance = ordered[p] * (0.3 + 0.7 * seen.color);
-            scores[p] = (agreement.max(0.0).sqrt() * appearance * (0.4 + 0.6 * estimate.score)).clamp(0.0, 1.0);
+            scores[p] =
+                (agreement.max(0.0).sqrt() * appearance * (0.4 + 0.6 * estimate.score)).clamp(0.0, 1.0);
         }
         scores
     }
