@@ -22,6 +22,17 @@ pub struct Strategy {
     pub contact: f32,
 }
 
+/// Colour before geometry.
+pub const COLOR_FIRST: Strategy = Strategy {
+    step: 0.4,
+    crease: 0.2,
+    ridge: 0.0,
+    edge_color: 0.5,
+    mean_color: 1.5,
+    size: 0.2,
+    contact: 0.1,
+};
+
 /// Geometry first, a balance, colour first, small ones first.
 pub const STRATEGIES: [Strategy; 4] = [
     Strategy {
@@ -42,15 +53,7 @@ pub const STRATEGIES: [Strategy; 4] = [
         size: 0.3,
         contact: 0.3,
     },
-    Strategy {
-        step: 0.4,
-        crease: 0.2,
-        ridge: 0.0,
-        edge_color: 0.5,
-        mean_color: 1.5,
-        size: 0.2,
-        contact: 0.1,
-    },
+    COLOR_FIRST,
     Strategy {
         step: 0.7,
         crease: 0.5,

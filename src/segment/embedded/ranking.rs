@@ -26,7 +26,10 @@ pub fn ranked(
     trees: Vec<Vec<Node>>,
     count: usize,
 ) -> Vec<Candidate> {
-    let borders = border_cells(grid, labels, regions.len());
+    let borders = cells_where(labels, regions.len(), |cell| {
+        let (col, row) = (cell % grid.width, cell / grid.width);
+        col == 0 || row == 0 || col + 1 == grid.width || row + 1 == grid.height
+    });
     let cells = grid.len() as f32;
     let mut candidates: Vec<Candidate> = trees
         .into_iter()
@@ -54,24 +57,23 @@ pub fn ranked(
 /// How long the node lasts while the cost grows, less for what the image cuts and for specks.
 fn score(node: &Node, borders: &[f32], cells: f32) -> f32 {
     let contrast = ((node.death - node.birth) / (node.death + 0.3)).clamp(0.0, 1.0);
-    let cut: f32 =
-        borders.iter().enumerate().filter(|(i, _)| node.members.contains(*i)).map(|(_, b)| b).sum();
-    let cut = (cut / node.cells.sqrt()).min(2.0);
+    let sum = |counts: &[f32]| -> f32 {
+        counts.iter().enumerate().filter(|(i, _)| node.members.contains(*i)).map(|(_, n)| n).sum()
+    };
+    let cut = (sum(borders) / node.cells.sqrt()).min(2.0);
     let speck = (node.cells / (0.004 * cells)).min(1.0).sqrt();
     contrast * (1.0 - 0.35 * cut) * (0.4 + 0.6 * speck)
 }
 
-/// Cells on the image's border by region.
-fn border_cells(grid: &Grid, labels: &[u32], count: usize) -> Vec<f32> {
-    let mut borders = vec![0.0f32; count];
+/// Cells with a property by region.
+fn cells_where(labels: &[u32], count: usize, holds: impl Fn(usize) -> bool) -> Vec<f32> {
+    let mut counts = vec![0.0f32; count];
     for (cell, &label) in labels.iter().enumerate() {
-        let (col, row) = (cell % grid.width, cell / grid.width);
-        let outside = col == 0 || row == 0 || col + 1 == grid.width || row + 1 == grid.height;
-        if let Some(border) = borders.get_mut(label as usize).filter(|_| outside) {
-            *border += 1.0;
+        if let Some(count) = counts.get_mut(label as usize).filter(|_| holds(cell)) {
+            *count += 1.0;
         }
     }
-    borders
+    counts
 }
 
 fn iou(a: &Node, b: &Node, regions: &[Region]) -> f32 {
