@@ -45,6 +45,7 @@ pub mod model;
 pub mod registration;
 pub mod render;
 pub mod report;
+pub mod segment;
 pub mod simd;
 pub mod synth;
 pub mod train;

@@ -6,9 +6,11 @@
 //! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
 //! memory.
 
+mod average_precision;
 mod benchmark;
 mod bins;
 mod bootstrap;
+mod coco;
 mod error;
 mod matching;
 mod object;
@@ -17,11 +19,16 @@ mod pose_error;
 mod reliability;
 mod scores;
 mod scoring;
+mod segmentation;
 mod vsd;
 
 pub use benchmark::{score_poses, write_poses};
 pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible, most_visible_index};
 pub use bootstrap::{Interval, average_recall_interval, error_type_intervals, paired_difference};
+pub use coco::{
+    CocoDetection, CocoGroundTruth, CocoScores, MIN_VISIBILITY, Region, RegionKind, coco_detections,
+    coco_ground_truth, coco_map,
+};
 pub use error::EvalError;
 pub use matching::match_estimates;
 pub use object::EvalObject;
@@ -30,6 +37,7 @@ pub use pose_error::{mspd, mssd, rotation_error_deg};
 pub use reliability::{Reliability, ReliabilityBin};
 pub use scores::{AverageRecall, BinScore, MeanTimes, Scores, average_recall};
 pub use scoring::{Evaluation, ScoreFiles, ScoreOptions, score_files, score_results};
+pub use segmentation::{SegmentationScores, score_segmentation};
 pub use vsd::{TestView, vsd};
 
 /// Number of misalignment tolerances of VSD.

@@ -306,7 +306,7 @@ impl PoseEstimator {
         })
     }
 
-    fn stream(&self, stream: u64) -> ChaCha8Rng {
+    pub(super) fn stream(&self, stream: u64) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(stream);
         rng

@@ -6,6 +6,7 @@
 //! with it.
 
 mod assignments;
+mod color_features;
 mod confidence;
 mod error;
 mod estimate;

@@ -8,10 +8,22 @@ use nalgebra::{Point3, Vector2, Vector3};
 use super::ReportError;
 use crate::{
     formats::write_atomic,
+    frame::Mask,
     geometry::{Intrinsics, Pose},
 };
 
 const AXIS_COLORS: [Rgb<u8>; 3] = [Rgb([230, 40, 40]), Rgb([40, 200, 40]), Rgb([60, 90, 255])];
+
+const MASK_COLORS: [Rgb<u8>; 8] = [
+    Rgb([255, 170, 0]),
+    Rgb([0, 200, 255]),
+    Rgb([255, 80, 200]),
+    Rgb([140, 255, 60]),
+    Rgb([160, 120, 255]),
+    Rgb([255, 255, 120]),
+    Rgb([255, 90, 80]),
+    Rgb([0, 230, 170]),
+];
 
 /// Draws `points` (metres, reference camera) moved by `t_query_reference`, each mixed half with what is below it.
 pub fn draw_points(
@@ -65,6 +77,30 @@ pub fn pose_overlay(
     let mut image = rgb.clone();
     draw_points(&mut image, camera, t_query_reference, reference_points, color);
     draw_axes(&mut image, camera, t_query_reference, reference_points, radius(reference_points));
+    image
+}
+
+/// The image with masks in colours, the first on top; borders are stronger than insides.
+pub fn mask_overlay(rgb: &RgbImage, masks: &[&Mask]) -> RgbImage {
+    let mut image = rgb.clone();
+    for (index, mask) in masks.iter().enumerate().rev() {
+        let color = MASK_COLORS[index % MASK_COLORS.len()];
+        let inside = |col: i64, row: i64| {
+            col >= 0
+                && row >= 0
+                && col < i64::from(mask.width)
+                && row < i64::from(mask.height)
+                && mask.get(col as u32, row as u32)
+        };
+        for (col, row) in mask.pixels().filter(|&(col, row)| col < rgb.width() && row < rgb.height()) {
+            let (c, r) = (i64::from(col), i64::from(row));
+            let border = ![(1, 0), (-1, 0), (0, 1), (0, -1)].iter().all(|(dc, dr)| inside(c + dc, r + dr));
+            let share = if border { 4 } else { 2 };
+            for (below, color) in image.get_pixel_mut(col, row).0.iter_mut().zip(color.0) {
+                *below = ((u16::from(*below) * (5 - share) + u16::from(color) * share) / 5) as u8;
+            }
+        }
+    }
     image
 }
 

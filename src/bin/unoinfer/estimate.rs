@@ -1,6 +1,9 @@
 //! `unoinfer estimate`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -10,10 +13,11 @@ use unopose::{
     formats::files::write_json,
     geometry::Pose,
     infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder},
+    registration::MaskedView,
     report::{explain, overlay},
 };
 
-use super::{options::EstimatorOptions, progress::Progress};
+use super::{options::EstimatorOptions, progress::Progress, segment::find_masks};
 
 /// Colours of the instances' points.
 const COLORS: [Rgb<u8>; 6] = [
@@ -33,8 +37,9 @@ pub struct EstimateArguments {
     /// Depth image of the query, registered to the colour image
     #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
     query_depth: Option<PathBuf>,
-    /// Mask of an instance in the query; several times for several instances
-    #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
+    /// Mask of an instance in the query; several times for several instances [default: found by segmentation, exit code
+    /// 3 when the object is not there]
+    #[arg(long, value_name = "FILE")]
     query_mask: Vec<PathBuf>,
     /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
     /// when it is not --camera; results go to OUT/NAME/
@@ -71,14 +76,25 @@ pub struct EstimateArguments {
 pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let queries = queries(arguments)?;
     let estimator = arguments.estimator.estimator()?;
-    let reference = reference(arguments, &estimator)?;
+    let (reference, view) = reference(arguments, &estimator)?;
 
     let progress = Progress::new("estimating");
     let mut failed = Vec::new();
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
-        if let Err(error) = estimate_view(&estimator, &reference, files, &out) {
+        let found = match (files.masks.is_empty(), &view) {
+            (false, _) => Ok(Cow::Borrowed(files)),
+            (true, Some(view)) => {
+                let masked = MaskedView { frame: &view.frame, mask: &view.masks[0] };
+                find_masks(&estimator, masked, files, &out).map(Cow::Owned)
+            }
+            (true, None) => {
+                bail!("--query-mask is missing: a kept reference has no image to find the object by")
+            }
+        };
+        let estimated = found.and_then(|files| estimate_view(&estimator, &reference, &files, &out));
+        if let Err(error) = estimated {
             // One bad query of a folder does not stop the others.
             if queries.len() == 1 {
                 return Err(error);
@@ -94,10 +110,13 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The kept reference, or the one in the images.
-fn reference(arguments: &EstimateArguments, estimator: &PoseEstimator) -> anyhow::Result<Reference> {
+/// The kept reference, or the one in the images with its view (one mask).
+fn reference(
+    arguments: &EstimateArguments,
+    estimator: &PoseEstimator,
+) -> anyhow::Result<(Reference, Option<View>)> {
     if let Some(kept) = &arguments.reference {
-        return Ok(estimator.load_reference(kept)?);
+        return Ok((estimator.load_reference(kept)?, None));
     }
     let files = ViewFiles {
         rgb: arguments.reference_rgb.clone().context("--reference-rgb is missing")?,
@@ -111,7 +130,7 @@ fn reference(arguments: &EstimateArguments, estimator: &PoseEstimator) -> anyhow
     if let Some(path) = &arguments.save_reference {
         estimator.save_reference(&reference, path)?;
     }
-    Ok(reference)
+    Ok((reference, Some(view)))
 }
 
 /// Names (of a folder's views) and files.

@@ -2,13 +2,25 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use unopose::{
     eval::{score_poses, write_poses},
     infer::{ReferenceColor, Refinement, TargetFiles, TargetList, estimate_targets},
+    segment::{EmbeddedProposals, GeometricMatcher},
 };
 
-use super::{options::EstimatorOptions, progress::Progress, score};
+use super::{
+    options::EstimatorOptions,
+    progress::Progress,
+    score,
+    segment::{DatasetFiles, segment_dataset},
+};
+
+/// Sources of masks.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Segmentation {
+    Unoseg,
+}
 
 #[derive(Args)]
 pub struct EvalArguments {
@@ -19,8 +31,12 @@ pub struct EvalArguments {
     #[arg(long, value_name = "JSON")]
     targets: PathBuf,
     /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
-    #[arg(long, value_name = "JSON")]
-    detections: PathBuf,
+    #[arg(long, value_name = "JSON", required_unless_present = "segmentation")]
+    detections: Option<PathBuf>,
+    /// Where the masks come from instead of --detections: unoseg (proposals from depth and colour, matched by the
+    /// checkpoint); written to OUT/segmentation
+    #[arg(long, conflicts_with = "detections")]
+    segmentation: Option<Segmentation>,
     /// Folder for the result table, scores.json, errors.json and rejected.json
     #[arg(long, value_name = "DIR", default_value = "eval")]
     out: PathBuf,
@@ -47,19 +63,34 @@ pub struct EvalArguments {
 }
 
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
-    let list = TargetList::open(&TargetFiles {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: arguments.reference_split.clone(),
-        targets: arguments.targets.clone(),
-        detections: arguments.detections.clone(),
-        limit: arguments.limit,
-    })?;
     let mut estimator = arguments.estimator.estimator()?.with_reference_color(arguments.reference_color);
     if arguments.untrained {
         let seed = estimator.seed();
         estimator = estimator.untrained(seed);
     }
+    let detections = match &arguments.detections {
+        Some(path) => path.clone(),
+        None => segment_dataset(
+            &DatasetFiles {
+                dataset: arguments.dataset.clone(),
+                split: arguments.split.clone(),
+                reference_split: arguments.reference_split.clone(),
+                targets: arguments.targets.clone(),
+                limit: arguments.limit,
+            },
+            &EmbeddedProposals,
+            &GeometricMatcher { estimator: &estimator },
+            &arguments.out.join("segmentation"),
+        )?,
+    };
+    let list = TargetList::open(&TargetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: arguments.reference_split.clone(),
+        targets: arguments.targets.clone(),
+        detections,
+        limit: arguments.limit,
+    })?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
     let progress = Progress::new("estimating");
     let poses = estimate_targets(&estimator, &list, &mut |done, total| progress.set(done, total))?;

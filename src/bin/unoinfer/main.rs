@@ -9,9 +9,14 @@ mod eval;
 mod options;
 mod progress;
 mod score;
+mod segment;
 mod verify;
 
 use clap::{Parser, Subcommand};
+use unopose::segment::SegmentError;
+
+/// Exit code when the object is not in the image.
+const NOT_FOUND: u8 = 3;
 
 /// One-reference 6-DoF pose estimation of unseen objects (UNOPose).
 #[derive(Parser)]
@@ -35,6 +40,8 @@ enum Command {
     Bench(bench::BenchArguments),
     /// Score a BOP result table
     Score(score::ScoreArguments),
+    /// Find masks: everything in an image, an object of a reference, or the targets of a BOP dataset
+    Segment(segment::SegmentArguments),
     /// Run a network on stored inputs and compare every stored tensor of another implementation
     Verify(verify::VerifyArguments),
     /// Say what a checkpoint is
@@ -54,6 +61,7 @@ fn main() -> std::process::ExitCode {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
+        Command::Segment(arguments) => segment::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
         Command::Inspect(arguments) => convert::inspect(&arguments),
         Command::Export(arguments) => convert::export(&arguments),
@@ -62,7 +70,10 @@ fn main() -> std::process::ExitCode {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", unopose::report::explain(error.as_ref()));
-            std::process::ExitCode::FAILURE
+            match error.downcast_ref::<SegmentError>() {
+                Some(SegmentError::NotFound { .. }) => std::process::ExitCode::from(NOT_FOUND),
+                _ => std::process::ExitCode::FAILURE,
+            }
         }
     }
 }

@@ -1,0 +1,95 @@
+//! Proposals from depth and colour, without weights.
+//!
+//! At a working resolution of 320 cells: support and background planes are removed; cells without depth follow the
+//! measured ones that colour connects them to, so masks reach over holes; patches of another colour on a plane are
+//! candidates of their own, as they may be flat objects; what is left is over-segmented by depth steps,
+//! concave creases and colour; merge trees with different priorities join the regions again, and every node of every
+//! tree is a candidate. The constants were chosen on synthetic scenes.
+
+mod adjacency;
+mod flood;
+mod grid;
+mod hierarchy;
+mod patches;
+mod planes;
+mod ranking;
+mod regions;
+
+pub use grid::lab;
+
+use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
+use crate::frame::{Mask, RgbdFrame};
+use grid::Grid;
+use hierarchy::Strategy;
+
+/// Cells along the longer side of the image.
+const SIDE: u32 = 320;
+/// What a patch that lies flat on a plane is worth beside a solid object.
+const FLAT: f32 = 0.5;
+
+/// The generator without weights.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct EmbeddedProposals;
+
+impl ProposalGenerator for EmbeddedProposals {
+    fn name(&self) -> String {
+        "embedded".into()
+    }
+
+    fn proposals(&self, frame: &RgbdFrame, _: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
+        Ok(propose(frame))
+    }
+}
+
+fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
+    let grid = Grid::new(frame, SIDE);
+    let background = background(&grid);
+    let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
+    let flat = patches::patches(&grid, &background);
+    let mut proposals = candidates(&grid, &solid, &hierarchy::STRATEGIES, 1.0);
+    proposals.extend(candidates(&grid, &flat, &[hierarchy::COLOR_FIRST], FLAT));
+    proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
+    proposals.truncate(MAX_PROPOSALS);
+    proposals
+}
+
+/// Masks from the merge trees over some cells, their scores times `weight`.
+fn candidates(grid: &Grid, cells: &[bool], strategies: &[Strategy], weight: f32) -> Vec<Proposal> {
+    let (labels, count) = regions::regions(grid, cells);
+    if count == 0 {
+        return Vec::new();
+    }
+    let (regions, boundaries) = adjacency::partition(grid, &labels, count);
+    let tree = |strategy| hierarchy::merge_tree(&regions, &boundaries, strategy);
+    let trees = strategies.iter().map(tree).collect();
+    ranking::ranked(grid, &labels, &regions, trees, MAX_PROPOSALS)
+        .into_iter()
+        .filter_map(|candidate| {
+            let mask = full_mask(grid, &labels, |region| candidate.node.members.contains(region));
+            Proposal::new(mask, weight * candidate.score)
+        })
+        .collect()
+}
+
+/// Everything on a background plane; nothing in an image without depth.
+fn background(grid: &Grid) -> Vec<bool> {
+    let (_, on_plane) = planes::background_planes(grid);
+    match flood::sources(grid) {
+        Some(sources) => sources.iter().map(|&source| on_plane[source as usize]).collect(),
+        None => vec![false; grid.len()],
+    }
+}
+
+/// Pixels whose cell is in a chosen region.
+fn full_mask(grid: &Grid, labels: &[u32], chosen: impl Fn(usize) -> bool) -> Mask {
+    let inside: Vec<bool> = labels.iter().map(|&label| label != u32::MAX && chosen(label as usize)).collect();
+    let (width, height) = grid.source;
+    let columns: Vec<usize> = (0..width).map(|col| grid.cell_of(col, 0)).collect();
+    let mut data = Vec::with_capacity(width as usize * height as usize);
+    for row in 0..height {
+        let first = grid.cell_of(0, row);
+        let line = &inside[first..first + grid.width];
+        data.extend(columns.iter().map(|&col| line[col]));
+    }
+    Mask { width, height, data }
+}

@@ -1,0 +1,28 @@
+//! Why there is no mask.
+
+use crate::{checkpoint::CheckpointError, formats::FormatError, infer::InferError};
+
+/// Error of the `segment` room.
+#[derive(Debug, thiserror::Error)]
+pub enum SegmentError {
+    #[error("unusable reference mask: {reason}")]
+    Reference { reason: String },
+    #[error("{what} is {value}, expected {expected}")]
+    Prompt { what: &'static str, value: String, expected: String },
+    #[error("not found: {proposals} proposals in {image}, none is like the reference")]
+    NotFound { image: String, proposals: usize },
+    #[error("the network's {what} cannot be read back from the device: {message}")]
+    Readback { what: &'static str, message: String },
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    #[error(transparent)]
+    Infer(#[from] InferError),
+}
+
+impl SegmentError {
+    pub(super) fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
+        move |error: E| Self::Readback { what, message: error.to_string() }
+    }
+}

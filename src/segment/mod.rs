@@ -1,0 +1,27 @@
+//! UNOSeg: where is the object of one reference view in another image?
+//!
+//! A [`ProposalGenerator`] finds candidate masks of everything in an image, a [`Matcher`] compares them with the objects
+//! looked for, [`assign`] turns the scores into detections; [`UnoSeg`] is the three together and [`segment_targets`] runs
+//! it on a target list. Without any downloaded weights these are [`EmbeddedProposals`] and [`GeometricMatcher`].
+
+mod assignment;
+mod dataset;
+mod embedded;
+mod error;
+mod geometric;
+mod listed;
+mod matcher;
+mod prompt;
+mod proposal;
+mod unoseg;
+
+pub use assignment::{Assigned, assign, box_iou, suppressed};
+pub use dataset::{DatasetSegmentation, ReferenceKey, segment_targets};
+pub use embedded::EmbeddedProposals;
+pub use error::SegmentError;
+pub use geometric::{GeometricMatcher, GeometricObject};
+pub use listed::ListedProposals;
+pub use matcher::Matcher;
+pub use prompt::{Prompt, prompted};
+pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator};
+pub use unoseg::{Segmentation, UnoSeg};
