@@ -71,7 +71,7 @@ fn it_stays_local_and_never_makes_it_worse() {
 fn a_start_as_good_as_the_noise_is_kept() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let reference = IcpReference::new(&sheet(-0.08, 0.16, 0.0008, &mut rng)).unwrap();
-    for count in [300, 8000] {
+    for count in [2500, 8000] {
         let cloud = sheet(-0.08, 0.16, 0.0008, &mut rng);
         let start = off(0.1, 0.0001);
         let outcome = refine_with(&cloud[..count], &reference, &start, &IcpSettings::POINT_TO_PLANE);
