@@ -11,18 +11,10 @@ pub enum SegmentError {
     Prompt { what: &'static str, value: String, expected: String },
     #[error("not found: {proposals} proposals in {image}, none is like the reference")]
     NotFound { image: String, proposals: usize },
-    #[error("the network's {what} cannot be read back from the device: {message}")]
-    Readback { what: &'static str, message: String },
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     #[error(transparent)]
     Format(#[from] FormatError),
     #[error(transparent)]
     Infer(#[from] InferError),
-}
-
-impl SegmentError {
-    pub(super) fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
-        move |error: E| Self::Readback { what, message: error.to_string() }
-    }
 }

@@ -10,8 +10,7 @@ use unopose::{
         BopDataset, FormatError,
         camera::read_camera,
         detections::write_detections,
-        files::write_json,
-        image_io::{read_depth, read_mask, read_rgb, write_mask},
+        image_io::{read_depth, read_rgb, write_mask},
         targets::{read_reference_targets, read_targets},
     },
     frame::{BoundingBox, DepthMap, Mask, RgbdFrame},
@@ -126,7 +125,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
             let mask = arguments.out.join("mask.png");
             write_mask(&mask, &chosen.mask)?;
             println!("{}: {} pixels", mask.display(), chosen.mask.count());
-            write(&arguments.out, &frame, &[(chosen, f64::from(chosen.score))], seconds)
+            write(&arguments.out, &frame, &[(&chosen, f64::from(chosen.score))], seconds)
         }
         None => {
             let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
