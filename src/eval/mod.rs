@@ -6,9 +6,11 @@
 //! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
 //! memory.
 
+mod average_precision;
 mod benchmark;
 mod bins;
 mod bootstrap;
+mod coco;
 mod error;
 mod matching;
 mod object;
@@ -21,6 +23,10 @@ mod vsd;
 pub use benchmark::{score_poses, write_poses};
 pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible, most_visible_index};
 pub use bootstrap::{Interval, average_recall_interval, paired_difference};
+pub use coco::{
+    CocoDetection, CocoGroundTruth, CocoScores, MIN_VISIBILITY, Region, RegionKind, coco_detections,
+    coco_ground_truth, coco_map,
+};
 pub use error::EvalError;
 pub use matching::match_estimates;
 pub use object::EvalObject;

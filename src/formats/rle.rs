@@ -3,6 +3,8 @@
 //! Both written forms are read: the integer list and the compressed string (five bits per character from
 //! `'0'` on, runs after the third stored as the difference to the run two before).
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::FormatError;
@@ -40,21 +42,17 @@ impl Rle {
         Self { size: [mask.height, mask.width], counts: Counts::Compressed(compress(&runs_of(mask))) }
     }
 
-    /// The mask; an error when the runs do not add up to `height * width`.
-    pub fn decode(&self) -> Result<Mask, FormatError> {
+    /// Run lengths, background first; an error when they do not add up to `height * width`.
+    pub fn runs(&self) -> Result<Cow<'_, [u32]>, FormatError> {
         let [height, width] = self.size;
         let pixels = u64::from(height) * u64::from(width);
         if pixels > MAX_PIXELS {
             let expected = format!("at most {MAX_PIXELS} pixels");
             return Err(FormatError::field("RLE mask", "size", format!("[{height}, {width}]"), expected));
         }
-        let decompressed;
         let runs = match &self.counts {
-            Counts::Runs(runs) => runs,
-            Counts::Compressed(text) => {
-                decompressed = decompress(text)?;
-                &decompressed
-            }
+            Counts::Runs(runs) => Cow::Borrowed(runs.as_slice()),
+            Counts::Compressed(text) => Cow::Owned(decompress(text)?),
         };
         let total: u64 = runs.iter().map(|&n| u64::from(n)).sum();
         if total != pixels {
@@ -65,6 +63,12 @@ impl Rle {
                 format!("height x width = {height} x {width} = {pixels}"),
             ));
         }
+        Ok(runs)
+    }
+
+    /// The mask; errors are those of [`Self::runs`].
+    pub fn decode(&self) -> Result<Mask, FormatError> {
+        let ([height, width], runs) = (self.size, self.runs()?);
         let mut mask = Mask::empty(width, height);
         let mut position = 0usize;
         for (run, &length) in runs.iter().enumerate() {
