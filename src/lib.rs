@@ -41,6 +41,7 @@ pub mod infer;
 pub mod loss;
 pub mod mesh;
 pub mod model;
+pub mod protocol;
 pub mod registration;
 pub mod render;
 pub mod report;
