@@ -42,6 +42,7 @@ pub mod infer;
 pub mod loss;
 pub mod mesh;
 pub mod model;
+pub mod protocol;
 pub mod registration;
 pub mod render;
 pub mod report;

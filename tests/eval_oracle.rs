@@ -11,8 +11,8 @@ use std::{
 
 use serde::Deserialize;
 use unopose::{
-    eval::{Evaluation, ScoreFiles, score_files},
-    formats::{BopDataset, detections::read_detections, files::read_json},
+    eval::{Evaluation, RegionKind, ScoreFiles, coco_detections, coco_ground_truth, coco_map, score_files},
+    formats::{BopDataset, detections::read_detections, files::read_json, targets::read_targets},
 };
 
 /// Any recall is a multiple of 1/406; the tables' own rounding can move a single instance over a threshold.
@@ -145,6 +145,28 @@ fn all_tables_score_as_in_the_toolkit() {
     assert_eq!(methods.len(), 14);
     for method in methods {
         compare(&benchmark, &method, None);
+    }
+}
+
+/// Against pycocotools 2.0 with the `ignore` flag of the annotations kept.
+#[test]
+fn noisy_masks_score_as_in_pycocotools() {
+    let Some(benchmark) = benchmark() else { return };
+    let dataset = BopDataset::open(&benchmark).unwrap();
+    let split = dataset.test_split().unwrap();
+    let targets = read_targets(&dataset.file("test_targets_bop19.json")).unwrap();
+    let detections = read_detections(&benchmark.join("dets_noisy_dev.json")).unwrap();
+    for (kind, expected) in [
+        (RegionKind::Mask, [0.691772492766083, 0.9168316831683169, 0.900685088566623, 0.710390873015873]),
+        (RegionKind::Box, [0.6783310660988603, 0.8979820251757035, 0.824288439167149, 0.7310813492063493]),
+    ] {
+        let truths = coco_ground_truth(&split, &targets, kind).unwrap();
+        let scores = coco_map(&truths, &coco_detections(&detections, kind).unwrap());
+        assert_eq!((scores.n_instances, scores.n_ignored, scores.n_outside), (443, 1, 0));
+        let met = [scores.map, scores.ap50, scores.ap75, scores.ar100];
+        for (met, expected) in met.iter().zip(expected) {
+            assert!((met - expected).abs() < 1e-9, "{kind:?}: {scores:?}");
+        }
     }
 }
 

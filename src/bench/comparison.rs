@@ -4,8 +4,14 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::run::MethodRun;
-use crate::eval::{Evaluation, Interval, Scores, average_recall_interval, paired_difference};
+use super::{
+    facts::{ListFacts, OverlapBin, overlap_bins, skipped_by_reason},
+    run::MethodRun,
+};
+use crate::{
+    eval::{Evaluation, Interval, Scores, average_recall_interval, paired_difference},
+    infer::TargetList,
+};
 
 /// Draws of an interval.
 const RESAMPLES: usize = 2000;
@@ -38,7 +44,13 @@ pub struct Difference {
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     pub dataset: String,
+    #[serde(flatten)]
+    pub facts: ListFacts,
     pub targets: usize,
+    /// Detections skipped for bad input, by reason.
+    pub skipped_detections: Vec<(String, usize)>,
+    /// Overlap ratios by the angle to the reference.
+    pub overlaps: Vec<OverlapBin>,
     pub seed: u64,
     pub resamples: usize,
     pub methods: Vec<MethodScore>,
@@ -48,7 +60,7 @@ pub struct Comparison {
 
 impl Comparison {
     /// From runs with their evaluations, in the order of the rows. The seed is that of the resampling.
-    pub fn new(dataset: &str, runs: &[(MethodRun, Evaluation)], seed: u64) -> Self {
+    pub fn new(facts: &ListFacts, list: &TargetList, runs: &[(MethodRun, Evaluation)], seed: u64) -> Self {
         let methods: Vec<MethodScore> =
             runs.iter().map(|(run, evaluation)| score(run, evaluation, seed)).collect();
         let best = (0..runs.len()).max_by(|&a, &b| methods[a].ar.value.total_cmp(&methods[b].ar.value));
@@ -61,7 +73,10 @@ impl Comparison {
             })
         };
         Self {
-            dataset: dataset.to_owned(),
+            dataset: list.dataset.name(),
+            facts: facts.clone(),
+            skipped_detections: skipped_by_reason(list),
+            overlaps: overlap_bins(&list.targets),
             targets: runs.first().map_or(0, |(_, evaluation)| evaluation.targets.len()),
             seed,
             resamples: RESAMPLES,

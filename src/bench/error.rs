@@ -1,6 +1,8 @@
 //! Why a benchmark stops.
 
-use crate::{eval::EvalError, formats::FormatError, report::ReportError};
+use crate::{
+    eval::EvalError, formats::FormatError, mesh::MeshError, protocol::ProtocolError, report::ReportError,
+};
 
 /// Error of the `bench` room.
 #[derive(Debug, thiserror::Error)]
@@ -11,4 +13,12 @@ pub enum BenchError {
     Eval(#[from] EvalError),
     #[error(transparent)]
     Report(#[from] ReportError),
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error("unknown ingredient {name:?}, expected some of {expected}")]
+    Ingredient { name: String, expected: String },
+    #[error("an ablation compares networks, but none is among the methods")]
+    NoNetwork,
 }

@@ -2,16 +2,21 @@
 
 use std::fmt::Write as _;
 
-use super::{Comparison, examples::Examples, published::published_rows, tables};
+use super::{
+    Comparison,
+    examples::Examples,
+    published::{published_rows, published_tables},
+    tables,
+};
 
-const STYLE: &str = "body{font:15px sans-serif;max-width:62em;margin:2em auto}table{border-collapse:collapse}\
-td,th{padding:.25em .7em;text-align:right;border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
+const STYLE: &str = "body{font:15px sans-serif;max-width:72em;margin:2em auto}table{border-collapse:collapse}\
+td,th{white-space:nowrap;padding:.25em .7em;text-align:right;border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
 .bar{position:relative;background:#eee;width:22em;height:1.1em}.bar div{position:absolute;height:100%}\
 .ar{background:#4a7fb5}.range{background:#0007;height:3px!important;top:45%}img{max-width:100%}";
 
 /// Table, bars with intervals, recall curves, and the worst and best cases of every method.
 pub fn html(comparison: &Comparison, examples: &[Examples]) -> String {
-    let title = format!("{} ({} targets)", escaped(&comparison.dataset), comparison.targets);
+    let title = escaped(&tables::title(comparison));
     let mut page = format!(
         "<!doctype html><html><head><meta charset=\"utf-8\"><title>{title}</title><style>{STYLE}</style></head>\
          <body><h1>{title}</h1>\n<table><tr><th>method</th><th></th><th>AR</th><th>95 %</th><th>VSD</th><th>MSSD</th>\
@@ -37,7 +42,7 @@ pub fn html(comparison: &Comparison, examples: &[Examples]) -> String {
             method.targets_without_pose
         );
     }
-    for row in published_rows(&comparison.dataset) {
+    for row in published_rows(&comparison.dataset, &comparison.facts.list) {
         let _ = writeln!(
             page,
             "<tr><td>{} ({}, published)</td><td><div class=\"bar\"><div class=\"ar\" style=\"width:{:.1}%;opacity:.4\">\
@@ -57,6 +62,32 @@ pub fn html(comparison: &Comparison, examples: &[Examples]) -> String {
         );
     }
     page += "</table>\n<h2>Recall</h2><img src=\"recall.svg\" alt=\"recall by threshold\">\n";
+    page += "<h2>Other metrics</h2>\n";
+    let others = comparison.methods.iter().map(|method| {
+        std::iter::once(method.name.clone()).chain(tables::other_metrics(method)).collect::<Vec<_>>()
+    });
+    let columns =
+        ["method", "mAP", "AUC of ADD", "AUC of ADD-S", "ADD(-S) 10 %", "angular error", "Acc15", "Acc30"];
+    page += &table(&columns, others);
+    if comparison.overlaps.len() > 1 {
+        page += "<h2>By the angle to the reference</h2><img src=\"rotation.svg\" alt=\"recall by angle\">\n";
+        let names = comparison.methods.iter().map(|m| m.name.as_str());
+        let columns: Vec<&str> = ["degrees", "targets", "overlap"].into_iter().chain(names).collect();
+        page += &table(&columns, tables::rotation_rows(comparison));
+    }
+    for published in published_tables(&comparison.dataset, &comparison.facts.list) {
+        let _ = writeln!(page, "<h2>Published: {}</h2>", escaped(published.title));
+        page += &table(published.columns, published.rows);
+    }
+    let skipped: usize = comparison.skipped_detections.iter().map(|(_, count)| count).sum();
+    if skipped > 0 {
+        page += "<h2>Detections skipped for bad input</h2>\n";
+        let rows = comparison.skipped_detections.iter();
+        page += &table(
+            &["reason", "detections"],
+            rows.map(|(reason, count)| vec![reason.clone(), count.to_string()]),
+        );
+    }
     for example in examples {
         let _ = writeln!(
             page,
@@ -70,6 +101,18 @@ pub fn html(comparison: &Comparison, examples: &[Examples]) -> String {
         );
     }
     page + "</body></html>\n"
+}
+
+fn table(columns: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let line = |cells: &mut dyn Iterator<Item = &str>, tag: &str| {
+        let cells = cells.map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell)));
+        format!("<tr>{}</tr>\n", cells.collect::<String>())
+    };
+    let mut text = format!("<table>{}", line(&mut columns.iter().copied(), "th"));
+    for row in rows {
+        text += &line(&mut row.iter().map(String::as_str), "td");
+    }
+    text + "</table>\n"
 }
 
 fn escaped(text: &str) -> String {

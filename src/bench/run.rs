@@ -16,7 +16,7 @@ use crate::{
     frame::{Mask, RgbdFrame},
     geometry::Pose,
     infer::{Rejection, TargetList, TargetPoses, next_detections},
-    registration::{MaskedView, PairEstimator},
+    registration::{MaskedView, PairEstimator, PairPose, Refined, Refinement, RegistrationError},
 };
 
 /// Images kept in memory.
@@ -33,30 +33,35 @@ pub struct MethodRun {
     pub relative: Vec<(ReferenceTarget, Pose)>,
 }
 
-/// Estimates all targets pair by pair, so that times are those of single pairs. What `cache` holds is not done again.
-/// A target with several references takes, for each detection, the pose with the best score.
+/// Estimates all targets pair by pair, so that times are those of single pairs. What `cache` holds is not done again, nor
+/// is an estimate that only waits for another refinement. A target with several references takes, for each detection, the pose with the best score.
 pub fn run_method(
     list: &TargetList,
-    estimator: &dyn PairEstimator,
+    method: &Refined,
     cache: &Path,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<MethodRun, BenchError> {
     let root = std::fs::canonicalize(list.dataset.root()).unwrap_or_else(|_| list.dataset.root().into());
-    let identity = format!(
-        "{} {} {} {} {}",
-        env!("CARGO_PKG_VERSION"),
-        estimator.fingerprint(),
-        root.display(),
-        list.split.name(),
-        list.reference_split().name()
-    );
+    let records = |method: &Refined| {
+        let identity = format!(
+            "{} {} {} {} {}",
+            env!("CARGO_PKG_VERSION"),
+            method.fingerprint(),
+            root.display(),
+            list.split.name(),
+            list.reference_split().name()
+        );
+        Records::open(cache, &method.name(), &identity)
+    };
+    let unrefined = Refined { refinement: Refinement::None, ..*method };
     let mut run = Run {
         list,
-        estimator,
-        records: Records::open(cache, &estimator.name(), &identity)?,
+        method,
+        records: records(method)?,
+        unrefined: (method.refinement != Refinement::None).then(|| records(&unrefined)).transpose()?,
         frames: HashMap::new(),
         made: MethodRun {
-            name: estimator.name(),
+            name: method.name(),
             poses: TargetPoses::default(),
             computed: 0,
             relative: Vec::new(),
@@ -94,8 +99,10 @@ pub fn run_method(
 
 struct Run<'a> {
     list: &'a TargetList,
-    estimator: &'a dyn PairEstimator,
+    method: &'a Refined<'a>,
     records: Records,
+    /// Those of the method without its refinement.
+    unrefined: Option<Records>,
     frames: HashMap<(bool, u32, u32), Arc<RgbdFrame>>,
     made: MethodRun,
 }
@@ -169,10 +176,9 @@ impl Run<'_> {
             Ok(mask) => {
                 let frame = self.frame(false, target.scene_id, target.im_id)?;
                 let (reference, reference_mask) = self.reference(target)?;
-                self.estimate(
-                    MaskedView { frame: &frame, mask: &mask },
-                    MaskedView { frame: &reference, mask: &reference_mask },
-                )
+                let query = MaskedView { frame: &frame, mask: &mask };
+                let reference = MaskedView { frame: &reference, mask: &reference_mask };
+                self.estimate(&key, query, reference)?
             }
         };
         self.made.computed += 1;
@@ -180,24 +186,30 @@ impl Run<'_> {
         Ok(outcome)
     }
 
-    fn estimate(&self, query: MaskedView, reference: MaskedView) -> PairOutcome {
-        let size = |view: &MaskedView| [view.mask.width, view.mask.height];
-        let expected = [query.frame.width(), query.frame.height()];
-        if size(&query) != expected {
-            let [w, h] = size(&query);
-            let reason =
-                format!("the mask is {w} x {h}, expected the image's {} x {}", expected[0], expected[1]);
-            return PairOutcome::Rejected { reason };
-        }
-        match self.estimator.estimate(query, reference) {
-            Ok(pair) if pair.t_query_reference.rotation_defect() < 1e-3 => PairOutcome::Posed {
-                t_query_reference: pair.t_query_reference,
-                score: pair.score,
-                seconds: pair.seconds,
-            },
-            Ok(_) => PairOutcome::Rejected { reason: "the rotation is none".into() },
-            Err(error) => PairOutcome::Rejected { reason: error.to_string() },
-        }
+    fn estimate(
+        &mut self,
+        key: &PairKey,
+        query: MaskedView,
+        reference: MaskedView,
+    ) -> Result<PairOutcome, FormatError> {
+        let known = self.unrefined.as_ref().and_then(|records| records.get(key));
+        let outcome = match known {
+            Some(known) => known.clone(),
+            None => {
+                let outcome = outcome_of(self.method.estimator.estimate(query, reference));
+                if let Some(records) = &mut self.unrefined {
+                    records.add(key.clone(), outcome.clone())?;
+                }
+                outcome
+            }
+        };
+        Ok(match outcome {
+            PairOutcome::Posed { t_query_reference, score, seconds } => {
+                let pair = PairPose { t_query_reference, score, seconds };
+                outcome_of(Ok(self.method.refine(pair, query, reference)))
+            }
+            rejected => rejected,
+        })
     }
 
     fn reference(&mut self, target: &ReferenceTarget) -> Result<(Arc<RgbdFrame>, Mask), FormatError> {
@@ -230,5 +242,15 @@ impl Run<'_> {
     fn reject(&mut self, target: &ReferenceTarget, reason: String) {
         let ReferenceTarget { scene_id, im_id, obj_id, .. } = *target;
         self.made.poses.rejections.push(Rejection { scene_id, im_id, obj_id, reason });
+    }
+}
+
+fn outcome_of(pair: Result<PairPose, RegistrationError>) -> PairOutcome {
+    match pair {
+        Ok(PairPose { t_query_reference, score, seconds }) if t_query_reference.rotation_defect() < 1e-3 => {
+            PairOutcome::Posed { t_query_reference, score, seconds }
+        }
+        Ok(_) => PairOutcome::Rejected { reason: "the rotation is none".into() },
+        Err(error) => PairOutcome::Rejected { reason: error.to_string() },
     }
 }

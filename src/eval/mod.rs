@@ -1,11 +1,12 @@
-//! Scoring of estimated poses with the metrics of the BOP challenge: VSD, MSSD, MSPD and their average
-//! recalls.
+//! Scoring of estimated poses and detections: VSD, MSSD, MSPD and their average recalls as in the BOP challenges since 2019,
+//! mean average precisions as in the later ones, ADD and ADD-S, angular errors, and COCO's mAP.
 //!
 //! [`score_files`] scores a result table of a dataset folder, [`score_results`] results in memory; both give
 //! the [`Scores`] that `scores.json` holds and the errors of every target. The metrics follow the official
 //! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
 //! memory.
 
+mod accuracy;
 mod average_precision;
 mod benchmark;
 mod bins;
@@ -15,13 +16,16 @@ mod error;
 mod matching;
 mod object;
 mod outcome;
+mod pose_detection;
 mod pose_error;
 mod reliability;
+mod scored_image;
 mod scores;
 mod scoring;
 mod segmentation;
 mod vsd;
 
+pub use accuracy::PoseAccuracy;
 pub use benchmark::{score_poses, write_poses};
 pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES, most_visible, most_visible_index};
 pub use bootstrap::{Interval, average_recall_interval, error_type_intervals, paired_difference};
@@ -33,9 +37,10 @@ pub use error::EvalError;
 pub use matching::match_estimates;
 pub use object::EvalObject;
 pub use outcome::{Hits, PoseErrors, TargetOutcome};
-pub use pose_error::{mspd, mssd, rotation_error_deg};
+pub use pose_detection::{ObjectEstimates, PoseMap};
+pub use pose_error::{add, add_s, mspd, mssd, rotation_error_deg};
 pub use reliability::{Reliability, ReliabilityBin};
-pub use scores::{AverageRecall, BinScore, MeanTimes, Scores, average_recall};
+pub use scores::{AverageRecall, BinScore, EstimateCounts, MeanTimes, Scores, average_recall};
 pub use scoring::{Evaluation, ScoreFiles, ScoreOptions, score_files, score_results};
 pub use segmentation::{SegmentationScores, score_segmentation};
 pub use vsd::{TestView, vsd};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
 use super::EvalError;
@@ -20,12 +21,26 @@ pub struct EvalObject {
     pub diameter: f64,
     /// All symmetries, the identity among them.
     pub symmetries: Vec<Pose>,
+    /// Of the vertices; `None` without any.
+    tree: Option<ImmutableKdTree<f32, 3>>,
 }
 
 impl EvalObject {
     /// With the symmetries expanded as BOP does.
     pub fn new(mesh: TriangleMesh, diameter: f64, symmetries: &ObjectSymmetries) -> Self {
-        Self { mesh, diameter, symmetries: symmetries.expand(ObjectSymmetries::BOP_STEP) }
+        let tree = (!mesh.vertices.is_empty()).then(|| ImmutableKdTree::new_from_slice(&mesh.vertices));
+        Self { mesh, diameter, symmetries: symmetries.expand(ObjectSymmetries::BOP_STEP), tree }
+    }
+
+    /// Is there a symmetry besides the identity?
+    pub fn is_symmetric(&self) -> bool {
+        self.symmetries.len() > 1
+    }
+
+    /// Distance from a point (object frame, metres) to the nearest vertex; infinite without vertices.
+    pub fn distance_to_vertices(&self, point: &[f32; 3]) -> f64 {
+        let nearest = self.tree.as_ref().map(|tree| tree.nearest_one::<SquaredEuclidean>(point).distance);
+        nearest.map_or(f64::INFINITY, |squared| f64::from(squared).sqrt())
     }
 
     /// Loads the evaluation models of the given objects.

@@ -6,7 +6,7 @@ use super::{
     MSPD_STEP, REFERENCE_WIDTH, TAUS, THRESHOLDS,
     matching::match_estimates,
     object::EvalObject,
-    pose_error::{mspd, mssd, rotation_error_deg},
+    pose_error::{add, add_s, mspd, mssd, rotation_error_deg},
     threshold,
     vsd::{TestView, vsd},
 };
@@ -21,6 +21,9 @@ pub struct PoseErrors {
     pub mssd: f64,
     /// Pixels.
     pub mspd: f64,
+    /// Average distances of model points, metres; infinite (null in JSON) when the bounding spheres do not meet.
+    pub add: f64,
+    pub add_s: f64,
     /// Smallest over the symmetries.
     pub rotation_deg: f64,
     /// Metres.
@@ -40,6 +43,8 @@ impl PoseErrors {
             vsd: vsd(object, view, t_est, t_gt, rendered_gt),
             mssd: mssd(object, t_est, t_gt),
             mspd: mspd(object, view.camera, t_est, t_gt),
+            add: add(object, t_est, t_gt),
+            add_s: add_s(object, t_est, t_gt),
             rotation_deg: rotation_error_deg(object, t_est, t_gt),
             translation: t_est.translation_distance(t_gt),
         }
@@ -77,7 +82,12 @@ pub struct TargetOutcome {
     pub visib_fract: f64,
     /// Degrees between target and reference view, where known.
     pub rot_deg: Option<f64>,
-    /// Errors of the estimate with the lowest MSSD (VSD for equal ones), `None` when there is no estimate.
+    /// Of the object, metres.
+    pub diameter: f64,
+    /// Has the object symmetries?
+    pub symmetric: bool,
+    /// Errors of the estimate that answers this target, `None` without one: in the order of their scores the estimates
+    /// take the free instance that is nearest.
     pub errors: Option<PoseErrors>,
     #[serde(skip)]
     pub hits: Hits,
@@ -115,6 +125,19 @@ pub fn hits(errors: &[Vec<PoseErrors>], gt_count: usize, diameter: f64, image_wi
         }
     }
     hits
+}
+
+/// The estimate that answers each ground truth. `errors[estimate][ground truth]`, estimates by descending score.
+pub fn answers(errors: &[Vec<PoseErrors>], gt_count: usize) -> Vec<Option<&PoseErrors>> {
+    let distances: Vec<Vec<f64>> =
+        errors.iter().map(|row| row.iter().map(|e| e.translation).collect()).collect();
+    let mut answers = vec![None; gt_count];
+    for (row, matched) in errors.iter().zip(match_estimates(&distances, f64::INFINITY)) {
+        if let Some(g) = matched {
+            answers[g] = Some(&row[g]);
+        }
+    }
+    answers
 }
 
 fn matched(

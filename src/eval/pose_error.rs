@@ -1,4 +1,4 @@
-//! Errors of an estimated pose that compare model points: MSSD, MSPD, and plain rotation and translation
+//! Errors of an estimated pose that compare model points: MSSD, MSPD, ADD, ADD-S, and plain rotation and translation
 //! errors.
 
 use nalgebra::{Vector2, Vector3};
@@ -29,6 +29,33 @@ pub fn mspd(object: &EvalObject, camera: &Intrinsics, t_est: &Pose, t_gt: &Pose)
         // A vertex in the camera plane has no projection.
         if squared.is_nan() { f64::INFINITY } else { squared }
     })
+}
+
+/// Average distance between the model points of both poses, metres (Hinterstoisser et al., ACCV 2012); symmetries are not
+/// looked at. Infinite when the bounding spheres do not meet.
+pub fn add(object: &EvalObject, t_est: &Pose, t_gt: &Pose) -> f64 {
+    mean_distance(object, t_est, t_gt, |v| (apply(t_est, v) - apply(t_gt, v)).norm())
+}
+
+/// [`add()`] with the distance of every true model point to the nearest estimated one (ADI there, ADD-S since).
+pub fn add_s(object: &EvalObject, t_est: &Pose, t_gt: &Pose) -> f64 {
+    let t_est_gt = t_est.inverse() * *t_gt;
+    mean_distance(object, t_est, t_gt, |v| {
+        object.distance_to_vertices(&apply(&t_est_gt, v).cast::<f32>().into())
+    })
+}
+
+fn mean_distance(
+    object: &EvalObject,
+    t_est: &Pose,
+    t_gt: &Pose,
+    distance: impl Fn(&Vector3<f64>) -> f64,
+) -> f64 {
+    let vertices = vertices(object);
+    if t_est.translation_distance(t_gt) >= object.diameter || vertices.is_empty() {
+        return f64::INFINITY;
+    }
+    vertices.iter().map(distance).sum::<f64>() / vertices.len() as f64
 }
 
 /// Smallest rotation angle between two poses over the symmetries, degrees.

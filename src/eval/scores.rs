@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    TAUS, THRESHOLDS,
+    PoseAccuracy, PoseMap, TAUS, THRESHOLDS,
     bins::{ROTATION_EDGES, VISIBILITY_EDGES, bin_of},
     outcome::TargetOutcome,
 };
@@ -41,8 +41,15 @@ pub struct BinScore {
 pub struct Scores {
     #[serde(flatten)]
     pub recall: AverageRecall,
+    #[serde(flatten)]
+    pub detection: PoseMap,
+    #[serde(flatten)]
+    pub accuracy: PoseAccuracy,
     /// Estimates that were compared with a target.
     pub n_estimates: usize,
+    /// Estimates of images or objects that are no targets. Those of images of the list are false alarms for mAP when the
+    /// object is a target elsewhere; the others are left out.
+    pub n_strangers: usize,
     /// Seconds; -1 when unknown.
     pub mean_time_per_image_s: f64,
     /// Time of all images divided by the number of estimates; -1 when unknown.
@@ -54,6 +61,7 @@ pub struct Scores {
     /// By threshold, 5 to 50 pixels at an image width of 640.
     pub recall_mspd: [f64; THRESHOLDS],
     pub per_object: BTreeMap<u32, AverageRecall>,
+    pub per_scene: BTreeMap<u32, AverageRecall>,
     /// By `visib_fract` of the target; bins without targets are left out.
     pub per_visibility: Vec<BinScore>,
     /// By degrees between target and reference view; empty when no list of references was given.
@@ -112,22 +120,36 @@ pub struct MeanTimes {
     pub per_pair_s: f64,
 }
 
+/// Numbers of estimates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EstimateCounts {
+    /// Compared with a target.
+    pub compared: usize,
+    /// Of images or objects that are no targets.
+    pub strangers: usize,
+}
+
 impl Scores {
-    pub fn new(targets: &[TargetOutcome], n_estimates: usize, times: MeanTimes) -> Self {
+    pub fn new(
+        targets: &[TargetOutcome],
+        detection: PoseMap,
+        counts: EstimateCounts,
+        times: MeanTimes,
+    ) -> Self {
         let all = Recalls::of(targets);
-        let mut by_object: BTreeMap<u32, Vec<&TargetOutcome>> = BTreeMap::new();
-        for target in targets {
-            by_object.entry(target.obj_id).or_default().push(target);
-        }
         Self {
             recall: all.average(),
-            n_estimates,
+            detection,
+            accuracy: PoseAccuracy::of(targets),
+            n_estimates: counts.compared,
+            n_strangers: counts.strangers,
             mean_time_per_image_s: times.per_image_s,
             mean_time_per_pair_s: times.per_pair_s,
             recall_vsd: all.vsd,
             recall_mssd: all.mssd,
             recall_mspd: all.mspd,
-            per_object: by_object.into_iter().map(|(id, group)| (id, average_recall(group))).collect(),
+            per_object: grouped(targets, |t| t.obj_id),
+            per_scene: grouped(targets, |t| t.scene_id),
             per_visibility: binned(targets, &VISIBILITY_EDGES, |t| Some(t.visib_fract)),
             per_rotation: binned(targets, &ROTATION_EDGES, |t| t.rot_deg),
         }
@@ -137,6 +159,14 @@ impl Scores {
     pub fn write(&self, path: &Path) -> Result<(), FormatError> {
         write_json(path, self, true)
     }
+}
+
+fn grouped(targets: &[TargetOutcome], key: impl Fn(&TargetOutcome) -> u32) -> BTreeMap<u32, AverageRecall> {
+    let mut groups: BTreeMap<u32, Vec<&TargetOutcome>> = BTreeMap::new();
+    for target in targets {
+        groups.entry(key(target)).or_default().push(target);
+    }
+    groups.into_iter().map(|(id, group)| (id, average_recall(group))).collect()
 }
 
 fn binned(

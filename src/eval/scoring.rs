@@ -8,14 +8,14 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    EvalError, EvalObject, MeanTimes, PoseErrors, RotationBins, Scores, TargetOutcome, matching::top,
-    outcome::hits, vsd::TestView,
+    EstimateCounts, EvalError, EvalObject, MeanTimes, PoseMap, RotationBins, Scores, TargetOutcome,
+    scored_image::{Image, ScoredImage},
 };
 use crate::formats::{
-    BopDataset, BopScene, BopSplit, PoseResult, Target,
+    BopDataset, BopSplit, PoseResult, Target,
     files::write_json,
     results::read_results,
-    targets::{read_reference_targets, read_targets},
+    targets::{check_targets, read_reference_targets, read_targets},
 };
 
 /// Scores of a set of results, with the outcome of every target in the order of the targets.
@@ -81,6 +81,7 @@ pub fn score_files(
     };
     let targets_path = files.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
     let targets = read_targets(&targets_path)?;
+    check_targets(&targets, &targets_path.display().to_string(), &split)?;
     let results = read_results(&files.results)?;
     let references = match &files.references {
         Some(path) => Some(read_reference_targets(path)?),
@@ -98,7 +99,7 @@ pub fn score_files(
     score_results(&dataset, &split, &targets, &results, &options)
 }
 
-/// Scores results. Results of objects or images that are no targets are left out.
+/// Scores results. Average recalls leave out results of objects or images that are no targets.
 pub fn score_results(
     dataset: &BopDataset,
     split: &BopSplit,
@@ -110,102 +111,35 @@ pub fn score_results(
         return Err(EvalError::NoTargets);
     }
     let objects = EvalObject::load_all(dataset, targets.iter().map(|t| t.obj_id).collect::<BTreeSet<_>>())?;
-    let mut by_target: BTreeMap<(u32, u32, u32), Vec<&PoseResult>> = BTreeMap::new();
-    for result in results {
-        by_target.entry((result.scene_id, result.im_id, result.obj_id)).or_default().push(result);
-    }
     let is_target: BTreeSet<_> = targets.iter().map(|t| (t.scene_id, t.im_id, t.obj_id)).collect();
-    let mut images: BTreeMap<(u32, u32), Vec<&Target>> = BTreeMap::new();
+    let mut images: BTreeMap<(u32, u32), Image> = BTreeMap::new();
     for target in targets {
-        images.entry((target.scene_id, target.im_id)).or_default().push(target);
+        images.entry((target.scene_id, target.im_id)).or_default().targets.push(target);
+    }
+    let mut strangers = 0;
+    for result in results {
+        strangers += usize::from(!is_target.contains(&(result.scene_id, result.im_id, result.obj_id)));
+        if let Some(image) = images.get_mut(&(result.scene_id, result.im_id)) {
+            image.results.push(result);
+        }
     }
     let images: Vec<_> = images.into_iter().collect();
-    let strangers = results.iter().filter(|r| !is_target.contains(&(r.scene_id, r.im_id, r.obj_id))).count();
-    if strangers > 0 {
-        tracing::warn!(
-            "{strangers} of {} results are of images or objects that are no targets",
-            results.len()
-        );
-    }
     let done = std::sync::atomic::AtomicUsize::new(0);
     let scored: Vec<ScoredImage> = images
         .par_iter()
-        .map(|((scene_id, im_id), targets)| {
+        .map(|((scene_id, im_id), image)| {
             let scene = split.scene(*scene_id)?;
-            let image = score_image(&scene, *im_id, targets, &by_target, &objects, options)?;
+            let scored = image.score(&scene, *im_id, &objects, options)?;
             let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             (options.progress)(count, images.len());
-            Ok(image)
+            Ok(scored)
         })
         .collect::<Result<_, EvalError>>()?;
-    let n_estimates = scored.iter().map(|image| image.n_estimates).sum();
-    let targets: Vec<TargetOutcome> = scored.into_iter().flat_map(|image| image.targets).collect();
-    let scores = Scores::new(&targets, n_estimates, mean_times(results));
+    let counts = EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers };
+    let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
+    let (targets, ranked) = (targets.concat(), ranked.concat());
+    let scores = Scores::new(&targets, PoseMap::new(&ranked), counts, mean_times(results));
     Ok(Evaluation { scores, targets })
-}
-
-struct ScoredImage {
-    targets: Vec<TargetOutcome>,
-    n_estimates: usize,
-}
-
-fn score_image(
-    scene: &BopScene,
-    im_id: u32,
-    targets: &[&Target],
-    results: &BTreeMap<(u32, u32, u32), Vec<&PoseResult>>,
-    objects: &BTreeMap<u32, EvalObject>,
-    options: &ScoreOptions,
-) -> Result<ScoredImage, EvalError> {
-    let (depth, camera) = (scene.depth(im_id)?, scene.camera(im_id)?.intrinsics);
-    let view = TestView { depth: &depth, camera: &camera, delta: options.delta };
-    let (gt, info) = (scene.gt(im_id)?, scene.gt_info(im_id)?);
-    let mut image = ScoredImage { targets: Vec::new(), n_estimates: 0 };
-    for &&Target { scene_id, obj_id, inst_count, .. } in targets {
-        let of_object: Vec<usize> = (0..gt.len()).filter(|&i| gt[i].obj_id == obj_id).collect();
-        let (Some(object), false) = (objects.get(&obj_id), of_object.is_empty()) else {
-            let scene = scene.folder.display().to_string();
-            return Err(EvalError::TargetWithoutGt { scene, im_id, obj_id });
-        };
-        let visible = top(of_object.iter().map(|&i| info[i].visib_fract), inst_count as usize);
-        let valid: Vec<usize> = visible.into_iter().map(|i| of_object[i]).collect();
-        let estimates = results.get(&(scene_id, im_id, obj_id)).map_or(&[][..], Vec::as_slice);
-        let best = top(estimates.iter().map(|e| e.score), inst_count as usize);
-
-        let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
-        let truths = valid.iter().map(|&i| gt[i].pose(&place)).collect::<Result<Vec<_>, _>>()?;
-        let seen = if best.is_empty() { &[][..] } else { &truths[..] };
-        let rendered: Vec<_> = seen.iter().map(|t_gt| view.render(object, t_gt)).collect();
-        let errors: Vec<Vec<PoseErrors>> = best
-            .iter()
-            .map(|&e| {
-                let t_est = &estimates[e].t_camera_object;
-                let pairs = truths.iter().zip(&rendered);
-                pairs.map(|(t_gt, window)| PoseErrors::new(object, &view, t_est, t_gt, window)).collect()
-            })
-            .collect();
-        image.n_estimates += best.len();
-        let hits = hits(&errors, valid.len(), object.diameter, depth.width);
-        for (position, (&gt_index, hits)) in valid.iter().zip(hits).enumerate() {
-            let order = |e: &PoseErrors| (e.mssd, e.vsd.iter().sum::<f64>());
-            let candidates = errors.iter().map(|row| &row[position]);
-            let closest = candidates.min_by(|a, b| {
-                let ((a, a_vsd), (b, b_vsd)) = (order(a), order(b));
-                a.total_cmp(&b).then(a_vsd.total_cmp(&b_vsd))
-            });
-            image.targets.push(TargetOutcome {
-                scene_id,
-                im_id,
-                obj_id,
-                gt_index,
-                visib_fract: info[gt_index].visib_fract,
-                rot_deg: options.rotations.and_then(|r| r.degrees(scene_id, im_id, obj_id)),
-                errors: closest.cloned(),
-                hits,
-            });
-        }
-    }
-    Ok(image)
 }
 
 /// Every line of an image repeats the image's time; a negative one makes the mean unknown.

@@ -117,15 +117,32 @@ fn recalls_of_two_instances_and_a_missed_target() {
     // Visibility 1, 400 / 700 and 1.
     let bins: Vec<_> = scores.per_visibility.iter().map(|b| (b.from, b.recall.n_targets)).collect();
     assert_eq!(bins, [(0.4, 1), (0.8, 2)]);
-    assert_eq!(scores.per_object[&1], scores.recall);
+    assert_eq!((&scores.per_object[&1], &scores.per_scene[&1]), (&scores.recall, &scores.recall));
+    assert_eq!(scores.n_strangers, 1);
+    // Every vertex is 3.2 cm off: beyond 10 % of the diameter; 1 - 0.32 of the 10 cm under the curve. The nearest vertex is
+    // as far. One of three targets has no estimate.
+    let accuracy = &scores.accuracy;
+    assert!((accuracy.add_auc - 1.68 / 3.0).abs() < 1e-6 && (accuracy.add_s_auc - 1.68 / 3.0).abs() < 1e-6);
+    assert!((accuracy.add_01d - 1.0 / 3.0).abs() < 1e-12);
+    assert!((accuracy.angular_error_deg - 60.0).abs() < 1e-6 && (accuracy.acc15 - 2.0 / 3.0).abs() < 1e-12);
+    // Of the three instances two count and image 1 has one; the third estimate, 0.1 scored, is exact where the second was
+    // only near. MSSD: at 8 thresholds the second takes instance 2 and the third is a false alarm behind both: recall 2/3
+    // at precision 1. At 2 thresholds the order is hit, false alarm, hit: 34 recalls at 1, 33 at 2/3. MSPD: at 4 and 6.
+    let full = 67.0 / 101.0;
+    let less = (34.0 + 33.0 * 2.0 / 3.0) / 101.0;
+    assert!((scores.detection.map_mssd - (0.8 * full + 0.2 * less)).abs() < 1e-12, "{:?}", scores.detection);
+    assert!((scores.detection.map_mspd - (0.4 * full + 0.6 * less)).abs() < 1e-12, "{:?}", scores.detection);
     assert_eq!((scores.mean_time_per_image_s, scores.mean_time_per_pair_s), (0.5, 0.125));
-    results[0].time = -1.0;
+    results.iter_mut().for_each(|r| r.time = -1.0);
     assert_eq!(score(folder.path(), &results).unwrap().scores.mean_time_per_image_s, -1.0);
 
     let out = folder.path().join("out");
     Evaluation { scores, targets }.write(&out).unwrap();
     let written: serde_json::Value = read_json(&out.join("scores.json")).unwrap();
-    for key in ["AR", "AR_VSD", "AR_MSSD", "AR_MSPD", "mean_time_per_image_s", "mean_time_per_pair_s"] {
+    let keys = ["AR", "AR_VSD", "AR_MSSD", "AR_MSPD", "mean_time_per_image_s", "mean_time_per_pair_s"];
+    for key in
+        keys.into_iter().chain(["mAP", "mAP_MSSD", "ADD_AUC", "ADD_S_AUC", "ADD_01d", "Acc15", "Acc30"])
+    {
         assert!(written[key].is_f64(), "{key}: {written}");
     }
     assert_eq!(written["n_targets"], 3);
@@ -145,9 +162,16 @@ fn scoring_names_what_is_missing() {
     };
     let target = |im_id, obj_id| [Target { scene_id: 1, im_id, obj_id, inst_count: 1 }];
     write_targets(&root.join("test_targets_bop19.json"), &target(0, 2)).unwrap();
-    fails("obj_000002.ply");
+    fails("test_targets_bop19.json: scene 1 image 0 object 2: obj_id is 2, expected an object annotated");
     write_targets(&root.join("test_targets_bop19.json"), &target(5, 1)).unwrap();
-    fails("depth/000005");
+    fails("im_id is 5, expected an image of");
+    let absent = Target { scene_id: 8, ..target(0, 1)[0] };
+    write_targets(&root.join("test_targets_bop19.json"), &[absent]).unwrap();
+    fails("scene_id is 8, expected a scene of");
+    write_targets(&root.join("test_targets_bop19.json"), &target(0, 1)).unwrap();
+    std::fs::rename(root.join("models_eval/models_info.json"), root.join("kept.json")).unwrap();
+    fails("models_info.json not found");
+    std::fs::rename(root.join("kept.json"), root.join("models_eval/models_info.json")).unwrap();
     std::fs::write(root.join("models_eval/obj_000001.ply"), "ply\nformat ascii 1.0\nelement vert").unwrap();
     fails("obj_000001.ply");
     std::fs::remove_file(root.join("test_targets_bop19.json")).unwrap();
@@ -171,6 +195,11 @@ fn a_symmetric_turn_is_no_error() {
     assert!((mssd(&plain, &t_est, &t_gt) - DIAMETER).abs() < 1e-6);
     assert!((mspd(&plain, &camera, &t_est, &t_gt) - 100.0 * DIAMETER).abs() < 1e-4);
     assert!((rotation_error_deg(&plain, &t_est, &t_gt) - 180.0).abs() < 1e-6);
+    // Each vertex has moved along the diagonal, onto the place of the opposite one.
+    assert!((add(&plain, &t_est, &t_gt) - DIAMETER).abs() < 1e-6);
+    assert!(add_s(&plain, &t_est, &t_gt) < 1e-6);
+    assert!((add_s(&plain, &at(0.05, 1.0), &t_gt) - 0.03).abs() < 1e-6);
+    assert_eq!(add(&plain, &at(0.0, 1.0), &at(DIAMETER + 0.01, 1.0)), f64::INFINITY);
     assert!(mssd(&symmetric, &t_est, &t_gt) < 1e-7);
     assert!(mspd(&symmetric, &camera, &t_est, &t_gt) < 1e-5);
     assert!(rotation_error_deg(&symmetric, &t_est, &t_gt) < 1e-6);
@@ -184,6 +213,7 @@ fn credit_counts_thresholds_of_all_three_errors() {
     let mut vsd = [1.0; TAUS];
     vsd[0] = 0.0;
     // VSD: one tolerance of ten at all thresholds; MSSD 12 % of the diameter: 8 of 10; MSPD 3 px of 320: 9 of 10.
-    let errors = PoseErrors { vsd, mssd: 0.012, mspd: 3.0, rotation_deg: 0.0, translation: 0.0 };
+    let errors =
+        PoseErrors { vsd, mssd: 0.012, mspd: 3.0, add: 0.0, add_s: 0.0, rotation_deg: 0.0, translation: 0.0 };
     assert!((errors.credit(0.1, 320) - (0.1 + 0.8 + 0.9) / 3.0).abs() < 1e-12);
 }

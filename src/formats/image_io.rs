@@ -18,6 +18,13 @@ pub fn read_rgb(path: &Path) -> Result<RgbImage, FormatError> {
     Ok(read(path)?.into_rgb8())
 }
 
+/// Width and height, from the header alone.
+pub fn image_size(path: &Path) -> Result<(u32, u32), FormatError> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let reader = reader.map_err(|e| FormatError::io(path, e))?;
+    reader.into_dimensions().map_err(|e| image_error(path, e))
+}
+
 /// Depth image, millimetres = value x `depth_scale_to_mm`.
 pub fn read_depth(path: &Path, depth_scale_to_mm: f64) -> Result<DepthMap, FormatError> {
     depth_from(read(path)?, path, depth_scale_to_mm)

@@ -13,6 +13,7 @@ pub mod megapose;
 pub mod models;
 pub mod results;
 pub mod rle;
+mod sequence;
 pub mod symmetry;
 pub mod targets;
 
@@ -22,6 +23,7 @@ pub use files::write_atomic;
 pub use foreground::Foreground;
 pub use models::ModelInfo;
 pub use results::PoseResult;
+pub use sequence::PhoneSequence;
 pub use symmetry::{ObjectSymmetries, SymmetryAxis};
 pub use targets::{ReferenceTarget, Target};
 

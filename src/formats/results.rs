@@ -1,6 +1,6 @@
 //! BOP result tables: `scene_id,im_id,obj_id,score,R,t,time`, one estimated pose per line.
 
-use std::{io::Write, path::Path};
+use std::{collections::HashMap, io::Write, path::Path};
 
 use super::{FormatError, files::write_atomic};
 use crate::geometry::Pose;
@@ -63,6 +63,7 @@ pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
         .trim(csv::Trim::All)
         .from_reader(std::io::BufReader::new(file));
     let mut results = Vec::new();
+    let mut seen = SeenLines::default();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(csv_error)?;
         let line = record.position().map_or(index as u64 + 1, |p| p.line());
@@ -75,9 +76,43 @@ pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
             }
             continue;
         }
-        results.push(parse_line(&record, &place)?);
+        let result = parse_line(&record, &place)?;
+        seen.check(&result, line, &place)?;
+        results.push(result);
     }
     Ok(results)
+}
+
+/// What later lines have to agree with, with line numbers.
+#[derive(Default)]
+struct SeenLines {
+    /// Time of an image.
+    times: HashMap<(u32, u32), (f64, u64)>,
+    /// Poses by their bits.
+    poses: HashMap<([u32; 3], [u64; 13]), u64>,
+}
+
+impl SeenLines {
+    /// An estimate is there once, and all lines of an image have its time.
+    fn check(&mut self, result: &PoseResult, line: u64, place: &str) -> Result<(), FormatError> {
+        let PoseResult { scene_id, im_id, obj_id, score, t_camera_object: pose, time } = result;
+        let (time_then, first) = *self.times.entry((*scene_id, *im_id)).or_insert((*time, line));
+        // The toolkit's tolerance.
+        if (time_then - time).abs() > 1e-3 {
+            let expected = format!("{time_then} as in line {first}: the time is the image's");
+            return Err(FormatError::field(place, "time", time, expected));
+        }
+        let numbers = pose.rotation.iter().chain(&pose.translation).chain([score]).map(|x| x.to_bits());
+        let mut bits = [0; 13];
+        bits.iter_mut().zip(numbers).for_each(|(bits, number)| *bits = number);
+        match self.poses.insert(([*scene_id, *im_id, *obj_id], bits), line) {
+            Some(first) => {
+                let expected = format!("another pose or score than in line {first}");
+                Err(FormatError::field(place, "line", "a repetition", expected))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
 fn parse_line(record: &csv::StringRecord, place: &str) -> Result<PoseResult, FormatError> {
@@ -102,6 +137,11 @@ fn parse_line(record: &csv::StringRecord, place: &str) -> Result<PoseResult, For
         numbers::<9>(&record[4], finite).ok_or_else(|| wrong(4, "9 finite numbers separated by spaces"))?;
     let t =
         numbers::<3>(&record[5], finite).ok_or_else(|| wrong(5, "3 finite numbers separated by spaces"))?;
+    let t_camera_object = Pose::from_row_major(&r, &t.map(|mm| mm / MM_PER_METRE));
+    // Written with few digits by some methods.
+    if t_camera_object.rotation_defect() > 1e-2 {
+        return Err(wrong(4, "a rotation matrix, row-major"));
+    }
     let time = match record.get(6) {
         Some(text) => finite(text).ok_or_else(|| wrong(6, "seconds, -1 when unknown"))?,
         None => -1.0,
@@ -111,7 +151,7 @@ fn parse_line(record: &csv::StringRecord, place: &str) -> Result<PoseResult, For
         im_id: id(1)?,
         obj_id: id(2)?,
         score: finite(&record[3]).ok_or_else(|| wrong(3, "a finite number"))?,
-        t_camera_object: Pose::from_row_major(&r, &t.map(|mm| mm / MM_PER_METRE)),
+        t_camera_object,
         time,
     })
 }
@@ -170,7 +210,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("results.csv");
         let mut results = read(LINE).unwrap();
-        results[0].t_camera_object.rotation[(0, 1)] = 1.0 / 3.0;
+        results[0].t_camera_object.rotation =
+            *nalgebra::Rotation3::from_euler_angles(0.1, 0.2, 1.0 / 3.0).matrix();
         results[0].time = 0.25;
         write_results(&path, &results).unwrap();
         let read = read_results(&path).unwrap();
@@ -187,6 +228,15 @@ mod tests {
             ("1,x,3,1,1 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "im_id is x"),
             ("1,0,3,1,1 0 0 0 1 0 0 0 1,0 inf 700,-1".into(), "t is 0 inf 700"),
             ("1,0,3".into(), "3 fields"),
+            ("1,0,3,1,2 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "R is 2 0 0 0 1 0 0 0 1, expected a rotation"),
+            (
+                format!("{LINE}\n{LINE}"),
+                "line 2: line is a repetition, expected another pose or score than in line 1",
+            ),
+            (
+                format!("{LINE}\n1,0,4,0.5,1 0 0 0 1 0 0 0 1,0 0 700,0.5"),
+                "line 2: time is 0.5, expected -1 as in line 1",
+            ),
             ("scene_id,im_id,obj_id,R,score,t,time".into(), "header"),
         ] {
             let message = read(&text).unwrap_err().to_string();

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FormatError,
+    BopSplit, FormatError,
     files::{read_json, write_json},
 };
 
@@ -65,6 +65,63 @@ pub fn read_reference_targets(path: &Path) -> Result<Vec<ReferenceTarget>, Forma
         return Err(FormatError::field(path.display(), "list of targets", "empty", "at least one target"));
     }
     Ok(targets)
+}
+
+/// Checks a list of references against the annotations: every scene, image and object is there, and no entry is repeated.
+/// `place` is the list in messages. An image of an unannotated split may show anything.
+pub fn check_reference_targets(
+    targets: &[ReferenceTarget],
+    place: &str,
+    split: &BopSplit,
+    reference_split: &BopSplit,
+) -> Result<(), FormatError> {
+    let mut seen: BTreeMap<[u32; 5], usize> = BTreeMap::new();
+    for (index, t) in targets.iter().enumerate() {
+        let place = format!("{place}: entry {index}");
+        if let Some(first) = seen.insert([t.scene_id, t.im_id, t.obj_id, t.ref_scene_id, t.ref_im_id], index)
+        {
+            let expected = format!("a target and reference other than those of entry {first}");
+            return Err(FormatError::field(place, "entry", "a repetition", expected));
+        }
+        check_object(split, [t.scene_id, t.im_id, t.obj_id], ["scene_id", "im_id"], &place)?;
+        let reference = [t.ref_scene_id, t.ref_im_id, t.obj_id];
+        check_object(reference_split, reference, ["ref_scene_id", "ref_im_id"], &place)?;
+    }
+    Ok(())
+}
+
+/// [`check_reference_targets`] of a list without references.
+pub fn check_targets(targets: &[Target], place: &str, split: &BopSplit) -> Result<(), FormatError> {
+    targets.iter().try_for_each(|t| {
+        let place = format!("{place}: scene {} image {} object {}", t.scene_id, t.im_id, t.obj_id);
+        check_object(split, [t.scene_id, t.im_id, t.obj_id], ["scene_id", "im_id"], &place)
+    })
+}
+
+fn check_object(
+    split: &BopSplit,
+    [scene_id, im_id, obj_id]: [u32; 3],
+    fields: [&str; 2],
+    place: &str,
+) -> Result<(), FormatError> {
+    if !split.scene_ids().contains(&scene_id) {
+        let expected = format!("a scene of {}: {:?}", split.folder().display(), split.scene_ids());
+        return Err(FormatError::field(place, fields[0], scene_id, expected));
+    }
+    let scene = split.scene(scene_id)?;
+    if !scene.image_ids().any(|id| id == im_id) {
+        let expected = format!("an image of {}", scene.folder.join("scene_camera.json").display());
+        return Err(FormatError::field(place, fields[1], im_id, expected));
+    }
+    let Ok(annotated) = scene.gt(im_id) else { return Ok(()) };
+    if annotated.iter().any(|gt| gt.obj_id == obj_id) {
+        return Ok(());
+    }
+    let mut there: Vec<u32> = annotated.iter().map(|gt| gt.obj_id).collect();
+    there.dedup();
+    let file = scene.folder.join("scene_gt.json");
+    let expected = format!("an object annotated in {} image {im_id}: {there:?}", file.display());
+    Err(FormatError::field(place, "obj_id", obj_id, expected))
 }
 
 /// Writes either kind of list.

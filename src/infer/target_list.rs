@@ -1,7 +1,7 @@
 //! The target list of a BOP dataset with its references and detections, and what becomes of it.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     path::PathBuf,
 };
 
@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use crate::formats::{
     BopDataset, BopSplit, FormatError, PoseResult, ReferenceTarget,
-    detections::{Detection, read_detections},
-    targets::read_reference_targets,
+    detections::{Detection, SkippedDetection, read_detections, usable_detections},
+    targets::{check_reference_targets, read_reference_targets},
 };
 
 /// Detections scored above this get a pose; the best of the others when none of these does.
@@ -41,6 +41,8 @@ pub struct TargetList {
     pub reference_split: Option<BopSplit>,
     pub targets: Vec<ReferenceTarget>,
     pub detections: Vec<Detection>,
+    /// Detections of the targets' images that cannot be used.
+    pub skipped: Vec<SkippedDetection>,
 }
 
 /// An instance that got no pose.
@@ -95,7 +97,24 @@ impl TargetList {
         let reference_split = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
         let mut targets = read_reference_targets(&files.targets)?;
         targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
-        Ok(Self { dataset, split, reference_split, targets, detections: read_detections(&files.detections)? })
+        let place = files.targets.display().to_string();
+        Self::new(dataset, split, reference_split, targets, read_detections(&files.detections)?, &place)
+    }
+
+    /// From its parts; `place` is the list of targets in messages. Targets and references have to be there, detections with
+    /// masks of no use are put aside.
+    pub fn new(
+        dataset: BopDataset,
+        split: BopSplit,
+        reference_split: Option<BopSplit>,
+        targets: Vec<ReferenceTarget>,
+        detections: Vec<Detection>,
+        place: &str,
+    ) -> Result<Self, FormatError> {
+        check_reference_targets(&targets, place, &split, reference_split.as_ref().unwrap_or(&split))?;
+        let images: BTreeSet<(u32, u32)> = targets.iter().map(|t| (t.scene_id, t.im_id)).collect();
+        let (detections, skipped) = usable_detections(detections, &split, &images)?;
+        Ok(Self { dataset, split, reference_split, targets, detections, skipped })
     }
 
     /// The split of the reference views.

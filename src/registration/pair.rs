@@ -74,6 +74,7 @@ impl<R: CloudRegistration> PairEstimator for R {
 }
 
 /// Any estimator with a local refinement after it.
+#[derive(Clone, Copy)]
 pub struct Refined<'a> {
     pub estimator: &'a dyn PairEstimator,
     pub refinement: Refinement,
@@ -93,9 +94,19 @@ impl PairEstimator for Refined<'_> {
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
         let pair = self.estimator.estimate(query, reference)?;
+        Ok(self.refine(pair, query, reference))
+    }
+}
+
+impl Refined<'_> {
+    /// The estimator's pose after the refinement, whose time is added.
+    pub fn refine(&self, pair: PairPose, query: MaskedView, reference: MaskedView) -> PairPose {
+        if self.refinement == Refinement::None {
+            return pair;
+        }
         let start = Instant::now();
         let (query, reference) = (query.points(), reference.points());
         let t_query_reference = self.refinement.apply(&query, &reference, &pair.t_query_reference);
-        Ok(PairPose { t_query_reference, seconds: pair.seconds + start.elapsed().as_secs_f64(), ..pair })
+        PairPose { t_query_reference, seconds: pair.seconds + start.elapsed().as_secs_f64(), ..pair }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::{formats::FormatError, mesh::MeshError};
+use crate::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
 
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
@@ -10,6 +10,8 @@ pub enum SynthError {
     Format(#[from] FormatError),
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: std::io::Error },
     #[error("{}: no ply, obj, stl, glb or gltf files found", folder.display())]

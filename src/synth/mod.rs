@@ -15,7 +15,6 @@ mod generate;
 mod mesh_folder;
 mod models;
 mod object;
-mod overlap;
 mod photograph;
 mod physics;
 mod random;

@@ -1,14 +1,15 @@
 //! `unoinfer bench`.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, sync::Mutex};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use unopose::{
-    bench::{Comparison, Examples, run_method, write_report},
+    bench::{INGREDIENTS, ListRequest, Method, Network, Segmentation, Suite, run_sequence, sequence_table},
     device::DeviceChoice,
-    eval::{score_poses, write_poses},
-    infer::{PoseEstimator, Refinement, TargetFiles, TargetList},
-    registration::{CLASSICAL_METHODS, PairEstimator, Refined, classical_method},
+    formats::PhoneSequence,
+    infer::Refinement,
+    protocol::{Protocol, REFERENCE_COUNTS},
+    registration::{CLASSICAL_METHODS, classical_method},
 };
 
 use super::progress::Progress;
@@ -16,16 +17,39 @@ use super::progress::Progress;
 /// Name of the network among the methods.
 const NETWORK: &str = "unopose";
 
+/// Which view is the reference of which target.
+#[derive(Clone, Copy, ValueEnum)]
+enum ProtocolName {
+    /// A view at most 50 degrees away (the main experiment)
+    Rot50,
+    /// At most 50 degrees away, from another scene
+    CrossScene,
+    /// Up to 90 degrees away in nine bins, with the overlap ratio
+    RotationBins,
+    /// One view for all targets of an object
+    OnePerObject,
+    /// The nearest of 8, 12, 16, 32 and 42 views per object (--counts), one table each
+    References,
+    /// As rot50, with the reference images rendered from the models
+    Rendered,
+    /// A phone sequence (WildRGB-D layout) as --dataset: one frame is the reference of the others
+    Sequence,
+}
+
 #[derive(Args)]
 pub struct BenchArguments {
-    /// BOP dataset folder
+    /// Protocol
+    #[arg(value_enum, default_value = "rot50")]
+    protocol: ProtocolName,
+    /// BOP dataset folder, or the folder of a sequence
     #[arg(long, value_name = "DIR")]
     dataset: PathBuf,
-    /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id
+    /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id [default: the dataset's
+    /// test_ref_targets_PROTOCOL.json, else a list that is built and written to --out]
     #[arg(long, value_name = "JSON")]
-    targets: PathBuf,
-    /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
-    #[arg(long, value_name = "JSON")]
+    targets: Option<PathBuf>,
+    /// Masks: gt (annotated visible masks), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "gt|JSON", default_value = "gt")]
     detections: PathBuf,
     /// Methods, separated by commas: aligncenter, fpfh-ransac, fpfh-mac, ppf, unopose; or all
     #[arg(long, value_delimiter = ',', default_value = "all")]
@@ -39,84 +63,142 @@ pub struct BenchArguments {
     /// Split of the targets [default: test, or the first that begins so]
     #[arg(long)]
     split: Option<String>,
-    /// Split of the reference views [default: that of the targets]
+    /// Split of the reference views, several separated by commas [default: train_real for TUD-L and YCB-V, else that of the
+    /// targets]
     #[arg(long)]
     reference_split: Option<String>,
-    /// Targets that recall counts [default: those of --targets]
+    /// Targets that recall counts [default: those of the list]
     #[arg(long, value_name = "JSON")]
     score_targets: Option<PathBuf>,
-    /// Only the first N entries of the target list
+    /// Only the first N entries of every list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// Weights of the network [default: as for estimate]
-    #[arg(long, value_name = "FILE")]
-    checkpoint: Option<PathBuf>,
+    /// Numbers of references per object of the protocol references
+    #[arg(long, value_delimiter = ',', default_values_t = REFERENCE_COUNTS)]
+    counts: Vec<usize>,
+    /// Reference frame of a sequence [default: the first]
+    #[arg(long, value_name = "ID")]
+    reference_frame: Option<u32>,
+    /// Every so many frames of a sequence one is a query
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    frame_step: usize,
+    /// Weights of the network, several separated by commas [default: as for estimate]
+    #[arg(long, value_name = "FILE", value_delimiter = ',')]
+    checkpoint: Vec<PathBuf>,
+    /// A table of the networks with these ingredients as columns, separated by commas: grf, lrf, fine, overlap
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = INGREDIENTS)]
+    ablation: Vec<String>,
     /// Compute device of the network: auto, flex, ndarray, wgpu or cuda
     #[arg(long, default_value = "auto")]
     device: DeviceChoice,
-    /// Seed of the network's sampling and of the confidence intervals
+    /// Seed of the references' choice, the network's sampling and the confidence intervals
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }
 
 pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
-    let list = TargetList::open(&TargetFiles {
+    let methods = methods(arguments)?;
+    if matches!(arguments.protocol, ProtocolName::Sequence) {
+        return sequence(arguments, &methods);
+    }
+    let request = ListRequest {
         dataset: arguments.dataset.clone(),
         split: arguments.split.clone(),
         reference_split: arguments.reference_split.clone(),
         targets: arguments.targets.clone(),
-        detections: arguments.detections.clone(),
+        segmentation: match arguments.detections.to_str() {
+            Some("gt") => Segmentation::GroundTruth,
+            _ => Segmentation::File(arguments.detections.clone()),
+        },
         limit: arguments.limit,
-    })?;
-    let (mut runs, mut examples) = (Vec::new(), Vec::new());
-    for estimator in estimators(arguments)? {
-        for &refinement in &arguments.refine {
-            let refined = Refined { estimator: estimator.as_ref(), refinement };
-            let name = refined.name();
-            eprintln!("{name}, {} targets", list.targets.len());
-            let progress = Progress::new("estimating");
-            let show = &mut |done, total| progress.set(done, total);
-            let run = run_method(&list, &refined, &arguments.out.join("results"), show)?;
-            progress.finish();
-            write_poses(&list, &run.poses, &name, &arguments.out.join(&name))?;
-            let progress = Progress::new("scoring");
-            let show = |done, total| progress.set(done, total);
-            let evaluation = score_poses(&list, &run.poses, arguments.score_targets.as_deref(), &show)?;
-            progress.finish();
-            evaluation.write(&arguments.out.join(&name))?;
-            eprintln!(
-                "AR {:.4}, {} of {} pairs computed now",
-                evaluation.scores.recall.ar, run.computed, run.poses.pairs
-            );
-            examples.push(Examples::draw(&list, &run, &evaluation, &arguments.out)?);
-            runs.push((run, evaluation));
+        seed: arguments.seed,
+        rendered: matches!(arguments.protocol, ProtocolName::Rendered),
+    };
+    let shown: Mutex<Option<(String, Progress)>> = Mutex::new(None);
+    let suite = Suite {
+        methods: &methods,
+        refinements: &arguments.refine,
+        ablation: &arguments.ablation,
+        cache: &arguments.out.join("results"),
+        score_targets: arguments.score_targets.as_deref(),
+        seed: arguments.seed,
+        progress: &|label, done, total| show(&shown, label, done, total),
+    };
+    let lists = request.prepare(&protocols(arguments), &arguments.out)?;
+    let several = lists.len() > 1;
+    for prepared in &lists {
+        let name = &prepared.facts.list;
+        eprintln!("{name}: {} targets", prepared.list.targets.len());
+        let folder = if several { arguments.out.join(name) } else { arguments.out.clone() };
+        suite.run(&prepared.list, &prepared.facts, &folder)?;
+        for table in ["table.md", "ablation.md"] {
+            let path = folder.join(table);
+            if path.is_file() {
+                println!("{}", std::fs::read_to_string(path)?);
+            }
         }
+        println!("{}", folder.join("index.html").display());
     }
-    let comparison = Comparison::new(&list.dataset.name(), &runs, arguments.seed);
-    write_report(&comparison, &examples, &arguments.out)?;
-    print!("{}", std::fs::read_to_string(arguments.out.join("table.md"))?);
-    println!("\n{}", arguments.out.join("index.html").display());
     Ok(())
 }
 
-fn estimators(arguments: &BenchArguments) -> anyhow::Result<Vec<Box<dyn PairEstimator>>> {
+fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
+    let sequence = PhoneSequence::open(&arguments.dataset)?;
+    let first = sequence.frame_ids().next().unwrap_or_default();
+    let reference = arguments.reference_frame.unwrap_or(first);
+    let step = arguments.frame_step;
+    let runs = run_sequence(&sequence, reference, step, methods, &arguments.refine, &arguments.out)?;
+    print!("{}", sequence_table(&sequence.name(), reference, &runs));
+    Ok(())
+}
+
+fn protocols(arguments: &BenchArguments) -> Vec<Protocol> {
+    match arguments.protocol {
+        ProtocolName::Rot50 | ProtocolName::Rendered | ProtocolName::Sequence => vec![Protocol::Rot50],
+        ProtocolName::CrossScene => vec![Protocol::CrossScene],
+        ProtocolName::RotationBins => vec![Protocol::Rot90],
+        ProtocolName::OnePerObject => vec![Protocol::OnePerObject],
+        ProtocolName::References => arguments.counts.iter().map(|&n| Protocol::FewPerObject(n)).collect(),
+    }
+}
+
+/// One bar at a time, a new one when the label changes.
+fn show(shown: &Mutex<Option<(String, Progress)>>, label: &str, done: usize, total: usize) {
+    let Ok(mut shown) = shown.lock() else { return };
+    if shown.as_ref().is_none_or(|(current, _)| current != label) {
+        if let Some((_, bar)) = shown.take() {
+            bar.finish();
+        }
+        *shown = Some((label.to_owned(), Progress::new(label)));
+    }
+    if let Some((_, bar)) = shown.as_ref() {
+        bar.set(done, total);
+        if done == total {
+            bar.finish();
+        }
+    }
+}
+
+fn methods(arguments: &BenchArguments) -> anyhow::Result<Vec<Method>> {
     let all = arguments.methods.iter().any(|name| name == "all");
     let names: Vec<&str> = if all {
         CLASSICAL_METHODS.into_iter().chain([NETWORK]).collect()
     } else {
         arguments.methods.iter().map(String::as_str).collect()
     };
-    let mut estimators: Vec<Box<dyn PairEstimator>> = Vec::new();
+    let mut methods = Vec::new();
     for name in names {
-        estimators.push(if name == NETWORK {
-            let estimator = match &arguments.checkpoint {
-                Some(path) => PoseEstimator::load(path, arguments.device)?,
-                None => PoseEstimator::load_default(arguments.device)?,
-            };
-            Box::new(estimator.with_seed(arguments.seed))
-        } else {
-            classical_method(name)?
-        });
+        if name != NETWORK {
+            methods.push(Method { estimator: classical_method(name)?, switches: None });
+            continue;
+        }
+        let paths: Vec<_> = arguments.checkpoint.iter().map(|path| Some(path.as_path())).collect();
+        let paths = if paths.is_empty() { vec![None] } else { paths };
+        for path in &paths {
+            let network = Network::load(*path, arguments.device, arguments.seed, paths.len() > 1)?;
+            let switches = Some(network.switches());
+            methods.push(Method { estimator: Box::new(network), switches });
+        }
     }
-    Ok(estimators)
+    Ok(methods)
 }

@@ -11,20 +11,21 @@ const LINE_EVERY: Duration = Duration::from_secs(20);
 
 /// A bar with rate and time left, usable from any thread.
 pub struct Progress {
-    label: &'static str,
+    label: String,
     bar: ProgressBar,
     start: Instant,
     last_line: Mutex<Instant>,
 }
 
 impl Progress {
-    pub fn new(label: &'static str) -> Self {
+    pub fn new(label: impl Into<String>) -> Self {
+        let label = label.into();
         let bar = ProgressBar::new(0);
         let template = "{prefix} {bar:28} {pos}/{len} {per_sec}, {eta} left";
         bar.set_style(
             ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
         );
-        bar.set_prefix(label);
+        bar.set_prefix(label.clone());
         Self { label, bar, start: Instant::now(), last_line: Mutex::new(Instant::now()) }
     }
 

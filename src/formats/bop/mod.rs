@@ -57,8 +57,14 @@ impl BopDataset {
         Ok(splits)
     }
 
-    /// A split by name.
+    /// A split by name, or the scenes of several whose names are separated by commas.
     pub fn split(&self, name: &str) -> Result<BopSplit, FormatError> {
+        let mut splits = name.split(',').map(|name| self.one_split(name.trim()));
+        let first = splits.next().unwrap_or_else(|| self.one_split(name))?;
+        splits.try_fold(first, |joined, split| Ok(joined.joined(split?)))
+    }
+
+    fn one_split(&self, name: &str) -> Result<BopSplit, FormatError> {
         let folder = self.root.join(name);
         if !folder.is_dir() {
             let found = format!("splits found: {}", self.splits()?.join(", "));
@@ -67,19 +73,41 @@ impl BopDataset {
         BopSplit::open(&folder)
     }
 
-    /// `test`, else the first split whose name starts with `test`, else with `val`.
+    /// `test`, else the first split whose name starts with `test` (T-LESS: `test_primesense`), else with `val`; those with
+    /// annotations come first (HB publishes them for its `val` splits only).
     pub fn test_split(&self) -> Result<BopSplit, FormatError> {
-        let splits = self.splits()?;
-        let chosen = ["test", "val"].iter().find_map(|kind| {
-            splits.iter().find(|s| s == kind).or_else(|| splits.iter().find(|s| s.starts_with(kind)))
-        });
-        match chosen {
-            Some(name) => self.split(name),
-            None => {
-                let found = format!("splits found: {}", splits.join(", "));
-                Err(FormatError::missing(self.root.display(), "split test or val", found))
+        let names = self.splits()?;
+        let candidates: Vec<&String> = ["test", "val"]
+            .iter()
+            .flat_map(|kind| {
+                let exact = names.iter().filter(move |name| name == kind);
+                exact.chain(names.iter().filter(move |name| name.starts_with(kind) && name != kind))
+            })
+            .collect();
+        let mut first = None;
+        for name in candidates {
+            let split = self.split(name)?;
+            if split.is_annotated() {
+                return Ok(split);
             }
+            first = first.or(Some(split));
         }
+        first.ok_or_else(|| {
+            let found = format!("splits found: {}", names.join(", "));
+            FormatError::missing(self.root.display(), "split test or val", found)
+        })
+    }
+
+    /// Where the paper's benchmark takes its reference views: `train_real` of TUD-L and YCB-V (whose scenes 48 to 59 are in
+    /// `test`), the split of the targets elsewhere.
+    pub fn reference_split_name(&self) -> Option<&'static str> {
+        let name: String = self.name().chars().filter(char::is_ascii_alphanumeric).collect();
+        let name = match name.to_ascii_lowercase().as_str() {
+            "tudl" => "train_real",
+            "ycbv" => "train_real,test",
+            _ => return None,
+        };
+        name.split(',').all(|part| self.root.join(part).is_dir()).then_some(name)
     }
 
     /// Sizes and symmetries of the evaluation models (of `models` when there is no `models_eval`).
@@ -97,6 +125,17 @@ impl BopDataset {
     pub fn eval_model_path(&self, obj_id: u32) -> Result<PathBuf, FormatError> {
         let path = self.models_folder()?.join(format!("obj_{obj_id:06}.ply"));
         if path.is_file() { Ok(path) } else { Err(FormatError::missing(path.display(), "model", "")) }
+    }
+
+    /// PLY file (mm) of an object's model with its colours: of `models`, else of T-LESS's `models_cad` and
+    /// `models_reconst`.
+    pub fn textured_model_path(&self, obj_id: u32) -> Result<PathBuf, FormatError> {
+        let file = |folder: &str| self.root.join(folder).join(format!("obj_{obj_id:06}.ply"));
+        let folders = ["models", "models_reconst", "models_cad"];
+        folders.iter().map(|folder| file(folder)).find(|path| path.is_file()).ok_or_else(|| {
+            let hint = format!("looked in {}", folders.join(", "));
+            FormatError::missing(self.root.display(), format!("obj_{obj_id:06}.ply"), hint)
+        })
     }
 
     /// File of a name inside the dataset folder, e.g. `test_targets_bop19.json`.

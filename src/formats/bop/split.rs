@@ -11,17 +11,21 @@ use super::{
         AnnotatedFrame, FormatError, Instance,
         camera::{Camera, CameraRecord},
         files::read_json,
-        image_io::{read_depth, read_mask, read_rgb},
+        image_io::{image_size, read_depth, read_mask, read_rgb},
     },
     records::{GtInfoRecord, GtRecord},
 };
 use crate::frame::{DepthMap, Mask, RgbdFrame};
 
-/// A split folder. Scenes are parsed on first use and kept; loading is thread-safe.
+/// A split folder, or several whose scenes have different numbers. Scenes are parsed on first use and kept; loading is
+/// thread-safe.
 #[derive(Debug)]
 pub struct BopSplit {
     folder: PathBuf,
+    name: String,
     scene_ids: Vec<u32>,
+    /// The split folder of every scene.
+    places: BTreeMap<u32, PathBuf>,
     scenes: Mutex<BTreeMap<u32, Arc<BopScene>>>,
 }
 
@@ -56,16 +60,35 @@ impl BopSplit {
             let hint = "expected folders named SSSSSS with scene_camera.json";
             return Err(FormatError::missing(folder.display(), "scenes", hint));
         }
-        Ok(Self { folder: folder.to_path_buf(), scene_ids, scenes: Mutex::default() })
+        let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let places = scene_ids.iter().map(|&id| (id, folder.to_path_buf())).collect();
+        Ok(Self { folder: folder.to_path_buf(), name, scene_ids, places, scenes: Mutex::default() })
     }
 
+    /// With the scenes of another split that this one has not.
+    pub fn joined(mut self, other: Self) -> Self {
+        self.name = format!("{},{}", self.name, other.name);
+        for (id, place) in other.places {
+            self.places.entry(id).or_insert(place);
+        }
+        self.scene_ids = self.places.keys().copied().collect();
+        self
+    }
+
+    /// The first folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Name of the split, e.g. `test`.
+    /// Name of the split, e.g. `test`; those of joined ones are separated by commas.
     pub fn name(&self) -> String {
-        self.folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+        self.name.clone()
+    }
+
+    /// Does its first scene say where the objects are?
+    pub fn is_annotated(&self) -> bool {
+        let first = self.places.iter().next();
+        first.is_some_and(|(id, place)| place.join(format!("{id:06}/scene_gt.json")).is_file())
     }
 
     /// Sorted.
@@ -80,11 +103,11 @@ impl BopSplit {
         if let Some(scene) = scenes().get(&id) {
             return Ok(scene.clone());
         }
-        if self.scene_ids.binary_search(&id).is_err() {
+        let Some(place) = self.places.get(&id) else {
             let hint = format!("scenes {:?}", self.scene_ids);
             return Err(FormatError::missing(self.folder.display(), format!("scene {id}"), hint));
-        }
-        let scene = Arc::new(BopScene::open(&self.folder, id)?);
+        };
+        let scene = Arc::new(BopScene::open(place, id)?);
         Ok(scenes().entry(id).or_insert(scene).clone())
     }
 
@@ -171,8 +194,7 @@ impl BopScene {
 
     /// Colour (or gray), depth and camera of an image.
     pub fn frame(&self, im_id: u32) -> Result<RgbdFrame, FormatError> {
-        let rgb =
-            read_rgb(&self.image_path(im_id, &["rgb", "gray"], &["png", "jpg", "jpeg", "tif", "tiff"])?)?;
+        let rgb = read_rgb(&self.color_path(im_id)?)?;
         let (depth, intrinsics) = (self.depth(im_id)?, self.camera(im_id)?.intrinsics);
         if (depth.width, depth.height) != rgb.dimensions() {
             let size = format!("{} x {}", depth.width, depth.height);
@@ -181,6 +203,15 @@ impl BopScene {
             return Err(FormatError::field(place, "size", size, expected));
         }
         Ok(RgbdFrame { rgb, depth, intrinsics })
+    }
+
+    /// Width and height of the colour (or gray) image.
+    pub fn image_size(&self, im_id: u32) -> Result<(u32, u32), FormatError> {
+        image_size(&self.color_path(im_id)?)
+    }
+
+    fn color_path(&self, im_id: u32) -> Result<PathBuf, FormatError> {
+        self.image_path(im_id, &["rgb", "gray"], &["png", "jpg", "jpeg", "tif", "tiff"])
     }
 
     /// Depth of an image, metres.

@@ -87,3 +87,43 @@ fn what_is_missing_is_named() {
     std::fs::remove_file(scene_folder.join("scene_camera.json")).unwrap();
     assert!(dataset.test_split().unwrap_err().to_string().contains("split test or val not found"));
 }
+
+/// ITODD and MVTec style: `gray/*.tif` with `depth/*.tif`; HB: a `test` split without annotations beside an annotated `val`.
+#[test]
+fn gray_tif_depth_tif_jpeg_and_unannotated_splits_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path());
+    let scene = folder.path().join("test_primesense/000002");
+    image::open(scene.join("rgb/000007.png")).unwrap().into_luma8().save(scene.join("rgb/gray.tif")).unwrap();
+    image::open(scene.join("depth/000007.png"))
+        .unwrap()
+        .into_luma16()
+        .save(scene.join("depth/000007.tif"))
+        .unwrap();
+    std::fs::remove_file(scene.join("depth/000007.png")).unwrap();
+    std::fs::create_dir(scene.join("gray")).unwrap();
+    std::fs::rename(scene.join("rgb/gray.tif"), scene.join("gray/000007.tif")).unwrap();
+    let colour = scene.join("rgb/000007.png");
+    let jpeg = image::open(&colour).unwrap().into_rgb8();
+    std::fs::remove_file(&colour).unwrap();
+    let dataset = BopDataset::open(folder.path()).unwrap();
+    let frame = dataset.test_split().unwrap().load(2, 7).unwrap().frame;
+    // 0.299, 0.587 and 0.114 of 9, 80 and 200, or 0.2126, 0.7152 and 0.0722.
+    let gray = frame.rgb.get_pixel(3, 3).0;
+    assert!(gray[0] == gray[1] && (70..=75).contains(&gray[0]), "{gray:?}");
+    assert_eq!((frame.depth.data[3], frame.depth.data[50]), (0.75, 0.0));
+    assert_eq!(dataset.test_split().unwrap().scene(2).unwrap().image_size(7).unwrap(), (16, 12));
+    crate::formats::image_io::write_rgb(&scene.join("rgb/000007.jpg"), &jpeg).unwrap();
+    let blue = dataset.test_split().unwrap().load(2, 7).unwrap().frame.rgb.get_pixel(3, 3).0;
+    assert!(blue[2] > 190 && blue[0] < 20, "{blue:?}");
+
+    assert!(dataset.test_split().unwrap().is_annotated());
+    let unannotated = folder.path().join("test/000002");
+    std::fs::create_dir_all(&unannotated).unwrap();
+    std::fs::copy(scene.join("scene_camera.json"), unannotated.join("scene_camera.json")).unwrap();
+    assert_eq!(dataset.test_split().unwrap().name(), "test_primesense");
+    assert_eq!(dataset.reference_split_name(), None);
+    let tudl = folder.path().join("TUD-L");
+    std::fs::create_dir_all(tudl.join("train_real")).unwrap();
+    assert_eq!(BopDataset::open(&tudl).unwrap().reference_split_name(), Some("train_real"));
+}

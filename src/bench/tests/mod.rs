@@ -1,5 +1,9 @@
 //! A made dataset of two images of one square, a method whose poses and failures are known, and runs that are resumed.
 
+mod lists;
+mod networks;
+mod sequences;
+
 use std::{
     io::Write,
     path::Path,
@@ -24,19 +28,22 @@ use crate::{
     geometry::{Intrinsics, Pose},
     infer::{TargetFiles, TargetList},
     mesh::{TriangleMesh, ply},
-    registration::{MaskedView, PairEstimator, PairPose, RegistrationError},
+    registration::{MaskedView, PairEstimator, PairPose, Refined, Refinement, RegistrationError},
 };
 
 fn at(x: f64) -> Pose {
     Pose::new(Matrix3::identity(), Vector3::new(x, 0.0, 1.0))
 }
 
-/// Images 0, 1 and 2 show the square at x = 0, 0.1 and 0.2 m; 0 is the reference of the others, whose masks are right,
-/// and of another size.
-fn write_dataset(root: &Path) -> TargetList {
+/// In a folder `ycbv`: images 0, 1 and 2 show the square at x = 0, 0.1 and 0.2 m; 0 is the reference of the others, whose
+/// masks are right, and of another size.
+fn write_dataset(folder: &Path) -> TargetList {
+    let root = &folder.join("ycbv");
     let mut writer = BopSceneWriter::new(&root.join("test"), 1, 0.1, false);
     let mut mask = Mask::empty(64, 64);
-    mask.data[..400].fill(true);
+    for row in 22..42 {
+        mask.data[row * 64 + 22..row * 64 + 42].fill(true);
+    }
     for im_id in 0..3 {
         let instance = SceneInstance {
             obj_id: 1,
@@ -67,6 +74,7 @@ fn write_dataset(root: &Path) -> TargetList {
     write_models_info(&root.join("models_eval/models_info.json"), &[(1, info)].into()).unwrap();
     let model = root.join("models_eval/obj_000001.ply");
     write_atomic(&model, |out| ply::write(&square, 1000.0, None, out)).unwrap();
+    write_atomic(&root.join("models/obj_000001.ply"), |out| ply::write(&square, 1000.0, None, out)).unwrap();
     let target = |im_id| ReferenceTarget {
         scene_id: 1,
         im_id,
@@ -125,11 +133,13 @@ fn a_run_is_resumed_scored_and_written() {
     let folder = tempfile::tempdir().unwrap();
     let list = write_dataset(folder.path());
     let (cache, method) = (folder.path().join("results"), Shift { asked: AtomicUsize::new(0) });
-    let go = || run_method(&list, &method, &cache, &mut |_, _| {}).unwrap();
+    let refined = Refined { estimator: &method, refinement: Refinement::None };
+    let go = || run_method(&list, &refined, &cache, &mut |_, _| {}).unwrap();
     let first = go();
-    assert_eq!((first.computed, method.asked.load(Ordering::Relaxed)), (2, 1));
+    assert_eq!((first.computed, method.asked.load(Ordering::Relaxed)), (1, 1));
     assert_eq!((first.poses.pairs, first.poses.results.len(), first.poses.rejections.len()), (1, 1, 1));
-    assert!(first.poses.rejections[0].reason.contains("10 x 10, expected the image's 64 x 64"));
+    assert_eq!(first.poses.rejections[0].reason, "no detection");
+    assert!(list.skipped[0].reason.contains("10 x 10, expected the image's 64 x 64"));
     let result = &first.poses.results[0];
     assert!(result.t_camera_object.translation_distance(&at(0.1)) < 1e-9);
     assert!((result.score - 0.45).abs() < 1e-12 && (result.time - 0.75).abs() < 1e-12);
@@ -142,11 +152,22 @@ fn a_run_is_resumed_scored_and_written() {
     assert_eq!((again.computed, &again.poses.results), (0, &first.poses.results));
     assert!(std::fs::read_to_string(&file).unwrap().ends_with("}\n"));
 
+    // Another refinement starts from the known pose; without measured points it leaves it as it is.
+    let icp = Refined { refinement: Refinement::Icp, ..refined };
+    let after = run_method(&list, &icp, &cache, &mut |_, _| {}).unwrap();
+    assert_eq!(
+        (after.name.as_str(), after.computed, method.asked.load(Ordering::Relaxed)),
+        ("shift-icp", 1, 1)
+    );
+    assert_eq!(after.poses.results[0].t_camera_object, first.poses.results[0].t_camera_object);
+
     let evaluation = score_poses(&list, &first.poses, None, &|_, _| {}).unwrap();
     assert_eq!(evaluation.scores.recall.ar, 0.5);
     let out = folder.path().join("out");
     let examples = [Examples::draw(&list, &first, &evaluation, &out).unwrap()];
-    let comparison = Comparison::new("ycbv", &[(first.clone(), evaluation.clone()), (first, evaluation)], 3);
+    let facts = ListFacts { list: "rot50".into(), segmentation: "dets".into(), ..ListFacts::default() };
+    let runs = [(first.clone(), evaluation.clone()), (first, evaluation)];
+    let comparison = Comparison::new(&facts, &list, &runs, 3);
     let score = &comparison.methods[0];
     assert_eq!((score.targets_without_pose, score.pairs, score.ar.value), (1, 1, 0.5));
     assert_eq!((score.ar.low, score.ar.high), (0.0, 1.0));
@@ -156,8 +177,22 @@ fn a_run_is_resumed_scored_and_written() {
     let table = text("table.md");
     assert!(table.contains("| shift | 50.0 | 0.0 .. 100.0 | 50.0 | 50.0 | 50.0 | 0.250 | 1 |"), "{table}");
     assert!(
-        table.contains("| UNOPose | UNOSeg-SAM | 83.1 | 3.70 |") && table.contains("1 x the mask is 10 x 10")
+        table.contains("| UNOPose | UNOSeg-SAM | 83.1 | 3.70 |")
+            && table.contains("1 x segmentation size is 10 x 10")
+            && table.contains("(first: entry 1, scene 1 image 2 object 1)"),
+        "{table}"
     );
+    // The same seed gives the same table, another one other intervals at most.
+    write_report(&Comparison::new(&facts, &list, &runs, 3), &examples, &folder.path().join("again")).unwrap();
+    for name in ["table.md", "table.csv", "table.json", "index.html"] {
+        assert_eq!(
+            text(name),
+            std::fs::read_to_string(folder.path().join("again").join(name)).unwrap(),
+            "{name}"
+        );
+    }
+    let value: serde_json::Value = crate::formats::files::read_json(&out.join("table.json")).unwrap();
+    assert_eq!((value["seed"].as_u64(), value["list"].as_str()), (Some(3), Some("rot50")));
     assert!(text("table.csv").contains("shift,0.500000,0.000000,1.000000"));
     assert!(text("index.html").contains("shift-worst.png") && out.join("shift-worst.png").is_file());
     assert!(out.join("recall.svg").is_file());

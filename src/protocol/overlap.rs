@@ -9,15 +9,16 @@ use crate::{
     render::depth::render_depth,
 };
 
-/// Points of a view that are looked for in the other one.
+/// Points of a view that are looked for in the other one, and that are kept for being found.
 const QUERIES: usize = 1000;
+const KEPT: usize = 20_000;
 /// A point counts as seen when the other view has one within this distance, metres ...
 const NEAR: f32 = 0.004;
 /// ... or this share of the diameter.
 const NEAR_SHARE: f32 = 0.03;
 
 /// Noise-free visible surface of an instance, object frame.
-pub(super) struct SeenSurface {
+pub struct SeenSurface {
     points: Vec<[f32; 3]>,
     tree: Option<ImmutableKdTree<f32, 3>>,
 }
@@ -34,6 +35,8 @@ impl SeenSurface {
                 Some([p.x as f32, p.y as f32, p.z as f32])
             })
             .collect();
+        let step = points.len().div_ceil(KEPT).max(1);
+        let points: Vec<[f32; 3]> = points.into_iter().step_by(step).collect();
         let tree = (!points.is_empty()).then(|| ImmutableKdTree::new_from_slice(&points));
         Self { points, tree }
     }

@@ -1,0 +1,180 @@
+//! From annotated instances to lists.
+
+use std::{
+    collections::{BTreeMap, BTreeSet, HashMap},
+    sync::Arc,
+};
+
+use rayon::prelude::*;
+
+use super::{
+    Protocol, ProtocolError, SeenSurface,
+    choice::{Candidate, drawn},
+    seen::{Seen, seen_instances, seen_targets},
+};
+use crate::{
+    formats::{BopSplit, FormatError, ModelInfo, ReferenceTarget, Target},
+    mesh::TriangleMesh,
+};
+
+/// What lists are made of.
+pub struct ListInput<'a> {
+    pub split: &'a BopSplit,
+    pub reference_split: &'a BopSplit,
+    pub infos: &'a BTreeMap<u32, ModelInfo>,
+    /// For the overlap ratio; without an object's mesh its entries have none.
+    pub meshes: &'a HashMap<u32, Arc<TriangleMesh>>,
+    /// `None`: all instances that are visible enough and have a reference in another scene at most 50 degrees away.
+    pub targets: Option<&'a [Target]>,
+}
+
+/// A list of references.
+#[derive(Clone, Debug)]
+pub struct BuiltList {
+    pub protocol: Protocol,
+    pub entries: Vec<ReferenceTarget>,
+    /// Targets that have no such reference.
+    pub without_reference: usize,
+}
+
+/// The lists with the targets they are about, one instance each.
+#[derive(Clone, Debug)]
+pub struct BuiltLists {
+    pub targets: Vec<Target>,
+    pub lists: Vec<BuiltList>,
+}
+
+/// A target and its reference, as numbers of instances.
+type Pair = (usize, usize);
+
+/// Makes the lists of several protocols. References come from images without targets where an object has such ones.
+pub fn build_lists(
+    input: &ListInput,
+    protocols: &[Protocol],
+    seed: u64,
+) -> Result<BuiltLists, ProtocolError> {
+    let mut references = seen_instances(input.reference_split)?;
+    references.retain(Seen::can_be_reference);
+    let mut targets = match input.targets {
+        Some(targets) => seen_targets(input.split, targets)?,
+        None => {
+            let mut seen = seen_instances(input.split)?;
+            seen.retain(Seen::can_be_target);
+            seen
+        }
+    };
+    let views = views_of_objects(&references, &targets);
+    let candidates = |target: &Seen| candidates(input, target, &references, &views);
+    let mut offers: Vec<Vec<Candidate>> =
+        targets.par_iter().map(candidates).collect::<Result<_, FormatError>>()?;
+    if input.targets.is_none() {
+        let main = |offer: &Vec<Candidate>| Protocol::CrossScene.choose(offer, &[], seed, 0).is_some();
+        let mut keep = offers.iter().map(main).collect::<Vec<_>>().into_iter();
+        targets.retain(|_| keep.next().unwrap_or(false));
+        offers.retain(main);
+    }
+    let draws: BTreeMap<u32, Vec<usize>> =
+        views.iter().map(|(&id, views)| (id, drawn(views, seed, id))).collect();
+    let choose = |protocol: &Protocol| -> Vec<Pair> {
+        let chosen = targets.iter().zip(&offers).enumerate().filter_map(|(t, (target, offer))| {
+            let drawn = draws.get(&target.obj_id).map_or(&[][..], Vec::as_slice);
+            Some((t, protocol.choose(offer, drawn, seed, t as u64)?))
+        });
+        chosen.collect()
+    };
+    let pairs: Vec<Vec<Pair>> = protocols.iter().map(choose).collect();
+    let overlaps = overlaps(input, &targets, &references, &pairs)?;
+    let degrees = |(t, r): Pair| offers[t].iter().find(|c| c.view == r).map(|c| c.degrees);
+    let entry = |&pair: &Pair| -> ReferenceTarget {
+        let (target, reference) = (&targets[pair.0], &references[pair.1]);
+        ReferenceTarget {
+            scene_id: target.scene_id,
+            im_id: target.im_id,
+            obj_id: target.obj_id,
+            ref_scene_id: reference.scene_id,
+            ref_im_id: reference.im_id,
+            rot_deg: degrees(pair),
+            overlap: overlaps.get(&pair).copied(),
+        }
+    };
+    let list = |(&protocol, pairs): (&Protocol, &Vec<Pair>)| BuiltList {
+        protocol,
+        entries: pairs.iter().map(entry).collect(),
+        without_reference: targets.len() - pairs.len(),
+    };
+    let lists = protocols.iter().zip(&pairs).map(list).collect();
+    let target = |s: &Seen| Target { scene_id: s.scene_id, im_id: s.im_id, obj_id: s.obj_id, inst_count: 1 };
+    Ok(BuiltLists { targets: targets.iter().map(target).collect(), lists })
+}
+
+/// Numbers of the usable references of every object.
+fn views_of_objects(references: &[Seen], targets: &[Seen]) -> BTreeMap<u32, Vec<usize>> {
+    let of_targets: BTreeSet<_> = targets.iter().map(Seen::image).collect();
+    let mut views: BTreeMap<u32, [Vec<usize>; 2]> = BTreeMap::new();
+    for (r, reference) in references.iter().enumerate() {
+        let outside = usize::from(!of_targets.contains(&reference.image()));
+        views.entry(reference.obj_id).or_default()[outside].push(r);
+    }
+    let preferred = |[inside, outside]: [Vec<usize>; 2]| if outside.is_empty() { inside } else { outside };
+    views.into_iter().map(|(id, views)| (id, preferred(views))).collect()
+}
+
+fn candidates(
+    input: &ListInput,
+    target: &Seen,
+    references: &[Seen],
+    views: &BTreeMap<u32, Vec<usize>>,
+) -> Result<Vec<Candidate>, FormatError> {
+    let Some(views) = views.get(&target.obj_id) else { return Ok(Vec::new()) };
+    let info = input.infos.get(&target.obj_id).ok_or_else(|| {
+        FormatError::missing("models_info.json", format!("object {}", target.obj_id), "a target")
+    })?;
+    let others = views.iter().filter(|&&r| !references[r].in_image_of(target));
+    let candidate = |&view: &usize| {
+        let reference = &references[view];
+        let (a, b) = (&target.t_camera_object, &reference.t_camera_object);
+        let degrees = info.symmetries.rotation_distance_deg(a, b);
+        Candidate { view, degrees, other_scene: !reference.in_scene_of(target) }
+    };
+    Ok(others.map(candidate).collect())
+}
+
+/// Overlap ratio of every pair whose object has a mesh. The surfaces of one object are in memory at a time.
+fn overlaps(
+    input: &ListInput,
+    targets: &[Seen],
+    references: &[Seen],
+    lists: &[Vec<Pair>],
+) -> Result<HashMap<Pair, f64>, FormatError> {
+    let mut by_object: BTreeMap<u32, BTreeSet<Pair>> = BTreeMap::new();
+    for &pair in lists.iter().flatten() {
+        by_object.entry(targets[pair.0].obj_id).or_default().insert(pair);
+    }
+    let mut overlaps = HashMap::new();
+    for (obj_id, pairs) in by_object {
+        let (Some(mesh), Some(info)) = (input.meshes.get(&obj_id), input.infos.get(&obj_id)) else {
+            continue;
+        };
+        let surfaces = |split: &BopSplit, seen: &[Seen], wanted: BTreeSet<usize>| {
+            let wanted: Vec<usize> = wanted.into_iter().collect();
+            let made = wanted.into_par_iter().map(|i| Ok((i, surface(split, &seen[i], mesh)?)));
+            made.collect::<Result<HashMap<usize, SeenSurface>, FormatError>>()
+        };
+        let of_targets = surfaces(input.split, targets, pairs.iter().map(|p| p.0).collect())?;
+        let of_references = surfaces(input.reference_split, references, pairs.iter().map(|p| p.1).collect())?;
+        let diameter = info.diameter as f32;
+        let share = |pair: Pair| {
+            let (a, b) = (of_targets.get(&pair.0)?, of_references.get(&pair.1)?);
+            Some((pair, a.share_in(b, diameter)))
+        };
+        overlaps.extend(pairs.into_iter().filter_map(share));
+    }
+    Ok(overlaps)
+}
+
+fn surface(split: &BopSplit, seen: &Seen, mesh: &TriangleMesh) -> Result<SeenSurface, FormatError> {
+    let scene = split.scene(seen.scene_id)?;
+    let visible = scene.mask_visib(seen.im_id, seen.instance)?;
+    let camera = scene.camera(seen.im_id)?.intrinsics;
+    Ok(SeenSurface::new(mesh, &seen.t_camera_object, &camera, &visible))
+}
