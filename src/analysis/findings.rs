@@ -95,7 +95,7 @@ fn thirds(
     unit: &str,
     digits: usize,
     of: fn(&PairRecord) -> f64,
-    add: &mut dyn FnMut(String, &dyn Fn(&PairRecord) -> bool),
+    add: &mut impl FnMut(String, &dyn Fn(&PairRecord) -> bool),
 ) {
     let mut values: Vec<f64> = records.iter().map(of).collect();
     values.sort_by(f64::total_cmp);

@@ -112,7 +112,7 @@ mod tests {
     fn false_alarms_cost_and_ignored_instances_do_not() {
         // Right at all ten thresholds; a worse scored false alarm does not matter, a better scored one halves it.
         let right = image(1, &[(0.9, &[0.01]), (0.2, &[0.9])], &[true]);
-        assert_eq!(PoseMap::new(&[right.clone()]).map, 1.0);
+        assert_eq!(PoseMap::new(std::slice::from_ref(&right)).map, 1.0);
         let late = image(1, &[(0.9, &[0.9]), (0.2, &[0.01])], &[true]);
         assert!((PoseMap::new(&[late]).map - 0.5).abs() < 1e-12);
         // The better scored one lies on an ignored instance.
