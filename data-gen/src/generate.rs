@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
     if summary.meshes_replaced > 0 {
         println!(
-            "{} mesh files could not be used (see the warnings); procedural objects took their place",
+            "the meshes of {} objects could not be used (see the warnings); procedural ones took their place",
             summary.meshes_replaced
         );
     }

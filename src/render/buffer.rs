@@ -48,7 +48,7 @@ impl VisibilityBuffer {
                             inv_z: f.inv_z,
                             object: object as u32,
                             face: face as u32,
-                            weights: f.weights,
+                            weights: f.weights(),
                         };
                     }
                 });

@@ -12,7 +12,7 @@ use parry3d::{
 use super::{
     buffer::Sample,
     scene::{Placed, Scene},
-    view::{Rendering, SceneRenderer, Surfel},
+    view::{Rendering, SceneRenderer, SurfaceKey, Surfel},
 };
 
 /// An object ready for rays.
@@ -83,10 +83,15 @@ impl Bounces {
     }
 
     /// Mean radiance that reaches every pixel's surface from its hemisphere, cosine-weighted.
-    pub fn gather(&self, renderer: &SceneRenderer, view: &Rendering, surfels: &[Surfel]) -> Vec<[f32; 3]> {
+    pub fn gather(
+        &self,
+        renderer: &SceneRenderer,
+        view: &Rendering,
+        surfels: &[(SurfaceKey, Surfel)],
+    ) -> Vec<[f32; 3]> {
         let width = view.depth.width as usize;
         let raw: Vec<Vector3<f32>> =
-            surfels.iter().enumerate().map(|(i, s)| self.hemisphere(renderer, s, i)).collect();
+            surfels.iter().enumerate().map(|(i, s)| self.hemisphere(renderer, &s.1, i)).collect();
         let smooth = |i: usize| {
             let (col, row) = ((i % width) as i32, (i / width) as i32);
             let (mut sum, mut weight) = (Vector3::zeros(), 0.0);
@@ -97,8 +102,8 @@ impl Bounces {
                     }
                     let k = r as usize * width + c as usize;
                     let alike = view.ids[k] == view.ids[i]
-                        && surfels[k].normal.dot(&surfels[i].normal) > 0.9
-                        && (surfels[k].point - surfels[i].point).norm() < 0.05;
+                        && surfels[k].1.normal.dot(&surfels[i].1.normal) > 0.9
+                        && (surfels[k].1.point - surfels[i].1.point).norm() < 0.05;
                     if alike {
                         sum += raw[k];
                         weight += 1.0;

@@ -6,10 +6,12 @@
 //! it in the tests.
 
 mod buffer;
+mod color;
 pub mod depth;
 mod indirect;
 mod instances;
 mod raster;
+mod rays;
 mod room;
 mod scene;
 mod shading;

@@ -22,8 +22,16 @@ pub struct Fragment {
     pub col: i32,
     pub row: i32,
     pub inv_z: f32,
+    /// Weights of the second and third corner on the screen, each times the corner's inverse depth.
+    scaled: [f32; 2],
+}
+
+impl Fragment {
     /// Perspective-correct weights of the second and third corner.
-    pub weights: [f32; 2],
+    pub fn weights(&self) -> [f32; 2] {
+        let z = 1.0 / self.inv_z;
+        self.scaled.map(|w| w * z)
+    }
 }
 
 /// Pixels `min <= (col, row) < max`.
@@ -62,9 +70,8 @@ pub fn triangle(corners: [Projected; 3], window: &Window, mut hit: impl FnMut(Fr
         return;
     }
     let span = |x: f32, y: f32, z: f32, axis: usize| {
-        let first = x.min(y).min(z).ceil().max(window.min[axis] as f32) as i32;
-        let last = x.max(y).max(z).floor().min((window.max[axis] - 1) as f32) as i32;
-        first..=last
+        let (low, high) = (x.min(y).min(z), x.max(y).max(z));
+        ceil(low).max(window.min[axis])..floor(high).saturating_add(1).min(window.max[axis])
     };
     let (cols, rows) = (span(a.u, b.u, c.u, 0), span(a.v, b.v, c.v, 1));
     if cols.is_empty() || rows.is_empty() {
@@ -76,18 +83,28 @@ pub fn triangle(corners: [Projected; 3], window: &Window, mut hit: impl FnMut(Fr
     let weight_c = [-(b.v - a.v) * inv_area, (b.u - a.u) * inv_area];
     for row in rows {
         let dv = row as f32 - a.v;
+        let (row_b, row_c) = (weight_b[1] * dv, weight_c[1] * dv);
         for col in cols.clone() {
             let du = col as f32 - a.u;
-            let wb = weight_b[0] * du + weight_b[1] * dv;
-            let wc = weight_c[0] * du + weight_c[1] * dv;
+            let wb = weight_b[0] * du + row_b;
+            let wc = weight_c[0] * du + row_c;
             let wa = 1.0 - wb - wc;
             // Slightly inclusive, so that rounding opens no gap between neighbouring faces.
             if wa < -1e-6 || wb < -1e-6 || wc < -1e-6 {
                 continue;
             }
             let inv_z = wa * a.inv_z + wb * b.inv_z + wc * c.inv_z;
-            let z = 1.0 / inv_z;
-            hit(Fragment { col, row, inv_z, weights: [wb * b.inv_z * z, wc * c.inv_z * z] });
+            hit(Fragment { col, row, inv_z, scaled: [wb * b.inv_z, wc * c.inv_z] });
         }
     }
+}
+
+/// Without a call into libm on plain x86-64; saturates.
+fn floor(x: f32) -> i32 {
+    let truncated = x as i32;
+    truncated.saturating_sub(i32::from(truncated as f32 > x))
+}
+
+fn ceil(x: f32) -> i32 {
+    floor(-x).saturating_neg()
 }

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::{
     scene::{Block, Finish, Room, Surface},
     texture::{self, Wrap},
+    view::Camera,
 };
 
 /// Where a ray meets the surroundings.
@@ -30,6 +31,78 @@ impl RoomPlace {
     pub(super) fn is_wall(&self) -> bool {
         self.block.is_none()
     }
+
+    /// The same for all points of one flat side.
+    pub(super) fn side(&self) -> (Option<usize>, usize) {
+        (self.block, self.axis)
+    }
+}
+
+/// The room as a camera sees it: every block with the part of the image it can appear in.
+pub(super) struct RoomView<'a> {
+    room: &'a Room,
+    origin: Vector3<f32>,
+    /// First and last column and row of each block, pixels.
+    seen: Vec<([f32; 2], [f32; 2])>,
+}
+
+/// The blocks that can appear in a row of pixels.
+pub(super) struct RoomLine<'a> {
+    view: &'a RoomView<'a>,
+    blocks: Vec<usize>,
+}
+
+impl<'a> RoomView<'a> {
+    pub fn new(room: &'a Room, camera: &Camera) -> Self {
+        let origin = camera.t_camera_world.inverse().translation.cast();
+        Self { room, origin, seen: room.blocks.iter().map(|b| window(b, camera)).collect() }
+    }
+
+    pub fn line(&'a self, row: u32) -> RoomLine<'a> {
+        let row = row as f32;
+        let meets = |(_, rows): &&([f32; 2], [f32; 2])| (rows[0] - 1.0..=rows[1] + 1.0).contains(&row);
+        let blocks = self.seen.iter().enumerate().filter(|(_, seen)| meets(seen)).map(|(i, _)| i).collect();
+        RoomLine { view: self, blocks }
+    }
+}
+
+impl RoomLine<'_> {
+    /// What a ray through pixel column `col` meets before `limit`.
+    pub fn meet(&self, col: u32, direction: &Vector3<f32>, limit: f32) -> Option<RoomPlace> {
+        let (view, col) = (self.view, col as f32);
+        let mut first = RoomPlace { t: limit, block: None, axis: 0 };
+        if limit == f32::INFINITY {
+            let (t, axis) = view.room.wall_exit(&view.origin, direction);
+            first = RoomPlace { t, block: None, axis };
+        }
+        for &i in &self.blocks {
+            let [low, high] = view.seen[i].0;
+            if col < low - 1.0 || col > high + 1.0 {
+                continue;
+            }
+            if let Some((t, axis)) = view.room.blocks[i].entry(&view.origin, direction, first.t) {
+                first = RoomPlace { t, block: Some(i), axis };
+            }
+        }
+        (limit == f32::INFINITY || first.block.is_some()).then_some(first)
+    }
+}
+
+/// Columns and rows of the image that a block can appear in.
+fn window(block: &Block, camera: &Camera) -> ([f32; 2], [f32; 2]) {
+    let everywhere = [f32::NEG_INFINITY, f32::INFINITY];
+    let mut bounds = [[f32::INFINITY, f32::NEG_INFINITY]; 2];
+    for corner in block.corners() {
+        let p = camera.t_camera_world.transform(&corner.cast::<f64>().into());
+        if p.z < 1e-3 {
+            return (everywhere, everywhere);
+        }
+        let Some(uv) = camera.intrinsics.project(&p) else { return (everywhere, everywhere) };
+        for (axis, value) in [uv.x as f32, uv.y as f32].into_iter().enumerate() {
+            bounds[axis] = [bounds[axis][0].min(value), bounds[axis][1].max(value)];
+        }
+    }
+    (bounds[0], bounds[1])
 }
 
 impl Room {

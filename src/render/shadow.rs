@@ -26,19 +26,19 @@ pub(super) struct ShadowMap {
     /// Nearest depth in a tile and its neighbours, infinite where there is none; one more tile around the map.
     near_tile: Vec<f32>,
     light_radius: f32,
+    taps: [[f32; 2]; TAPS],
 }
 
-/// Offsets of the filter taps in the unit disc.
-const TAPS: [[f32; 2]; 8] = [
-    [0.12, 0.31],
-    [-0.42, 0.18],
-    [0.25, -0.51],
-    [-0.31, -0.38],
-    [0.71, 0.22],
-    [-0.24, 0.79],
-    [-0.86, -0.21],
-    [0.47, -0.80],
-];
+/// Offsets of the filter taps in the unit disc, a golden spiral; the search for blockers takes every other one.
+const TAPS: usize = 16;
+
+fn taps() -> [[f32; 2]; TAPS] {
+    std::array::from_fn(|k| {
+        let r = ((k as f32 + 0.5) / TAPS as f32).sqrt();
+        let (s, c) = (k as f32 * 2.399_963_2).sin_cos();
+        [r * c, r * s]
+    })
+}
 
 /// Faces of a box whose corner `i` has the signs of the bits of `i`.
 const BOX_FACES: [[u32; 3]; 12] = [
@@ -96,7 +96,16 @@ impl ShadowMap {
         }
         let depth: Vec<f32> = inverse.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect();
         let near_tile = near_tiles(&depth);
-        Self { rotation, translation, focal, center: middle, depth, near_tile, light_radius: light.radius }
+        Self {
+            rotation,
+            translation,
+            focal,
+            center: middle,
+            depth,
+            near_tile,
+            light_radius: light.radius,
+            taps: taps(),
+        }
     }
 
     fn blocker(&self, u: f32, v: f32) -> f32 {
@@ -132,31 +141,30 @@ impl ShadowMap {
             return 1.0;
         }
         let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, REACH);
-        let tap = |k: usize, size: f32| {
-            let [x, y] = TAPS[k];
+        let tap = |[x, y]: &[f32; 2], size: f32| {
             let (dx, dy) = (turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y);
             self.blocker(u + dx * size, v + dy * size)
         };
-        let (mut sum, mut count) = (0f32, 0f32);
-        for k in 0..TAPS.len() {
-            let depth = tap(k, search);
-            if depth > 0.0 && depth < p.z - bias {
+        let blocks = |depth: f32| depth > 0.0 && depth < p.z - bias;
+        let (mut sum, mut count) = (0f32, 0usize);
+        for offset in self.taps.iter().skip(1).step_by(2) {
+            let depth = tap(offset, search);
+            if blocks(depth) {
                 sum += depth;
-                count += 1.0;
+                count += 1;
             }
         }
-        if count == 0.0 {
+        if count == 0 {
             return 1.0;
         }
         // Width of the penumbra from similar triangles (percentage-closer soft shadows, Fernando 2005).
-        let blocker = sum / count;
+        let blocker = sum / count as f32;
         let penumbra = self.light_radius * (p.z - blocker) / blocker;
         let size = (self.focal * penumbra / p.z).clamp(0.7, REACH);
-        let lit = (0..TAPS.len()).filter(|&k| {
-            let depth = tap(k, size);
-            depth <= 0.0 || depth >= p.z - bias
-        });
-        lit.count() as f32 / TAPS.len() as f32
+        if 2 * count == TAPS && size <= search {
+            return 0.0;
+        }
+        self.taps.iter().filter(|offset| !blocks(tap(offset, size))).count() as f32 / TAPS as f32
     }
 }
 

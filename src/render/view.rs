@@ -5,9 +5,10 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     buffer::{Sample, VisibilityBuffer},
     indirect::Bounces,
-    room::RoomPlace,
+    rays::Rays,
+    room::{RoomLine, RoomPlace, RoomView},
     scene::{Block, Finish, Light, Placed, Scene},
-    shading::Shaded,
+    shading::{Reflection, Shaded},
     shadow::ShadowMap,
     texture::{self, Wrap},
 };
@@ -48,6 +49,8 @@ pub struct SceneRenderer<'a> {
     /// Large light straight above: how open the sky is.
     sky: ShadowMap,
     center: Vector3<f32>,
+    /// Of each object, object to world.
+    rotations: Vec<Matrix3<f32>>,
     bounces: Option<Bounces>,
 }
 
@@ -57,6 +60,13 @@ pub(super) struct Surfel {
     pub normal: Vector3<f32>,
     pub albedo: [f32; 3],
     pub finish: Finish,
+}
+
+/// What a point belongs to: an object, or one flat side of the surroundings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SurfaceKey {
+    Object(u32),
+    Room(Option<usize>, usize),
 }
 
 impl<'a> SceneRenderer<'a> {
@@ -72,6 +82,7 @@ impl<'a> SceneRenderer<'a> {
             shadows: scene.lights.iter().map(map).collect(),
             sky: map(&above),
             center,
+            rotations: scene.objects.iter().map(|o| o.t_world_object.rotation.cast()).collect(),
             bounces: None,
         }
     }
@@ -88,7 +99,7 @@ impl<'a> SceneRenderer<'a> {
     /// Renders with `density`² colour samples per pixel.
     pub fn render(&self, camera: &Camera, density: u32) -> Rendering {
         let pixels = VisibilityBuffer::new(&self.scene.objects, camera, 1);
-        let mut surfels = Vec::new();
+        let mut surfels = Vec::with_capacity(pixels.samples.len());
         let mut out = Rendering {
             radiance: Vec::new(),
             depth: DepthMap::zeros(camera.width, camera.height),
@@ -98,55 +109,47 @@ impl<'a> SceneRenderer<'a> {
             finish: vec![Finish { roughness: 1.0, metallic: 0.0 }; pixels.samples.len()],
         };
         let rays = Rays::new(camera, &pixels.intrinsics);
-        for (i, sample) in pixels.samples.iter().enumerate() {
-            let direction = rays.direction(i as u32 % pixels.width, i as u32 / pixels.width);
-            let (z, room) = self.nearest(&rays.origin, &direction, sample);
-            let surfel = self.surfel(&rays.origin, &direction, sample, &room);
-            out.depth.data[i] = z;
-            out.ids[i] = if room.is_none() { sample.object as u16 + 1 } else { 0 };
-            out.incidence[i] = -surfel.normal.dot(&direction) / direction.norm();
-            out.albedo[i] = luminance(&surfel.albedo);
-            out.finish[i] = surfel.finish;
-            if self.bounces.is_some() {
-                surfels.push(surfel);
+        let room = RoomView::new(&self.scene.room, camera);
+        for row in 0..camera.height {
+            let line = room.line(row);
+            for col in 0..camera.width {
+                let i = surfels.len();
+                let direction = rays.direction(col, row);
+                let (z, (key, surfel)) = self.seen(&rays.origin, &direction, &pixels.samples[i], &line, col);
+                out.depth.data[i] = z;
+                if let SurfaceKey::Object(object) = key {
+                    out.ids[i] = object as u16 + 1;
+                }
+                out.incidence[i] = -surfel.normal.dot(&direction) / direction.norm();
+                out.albedo[i] = luminance(&surfel.albedo);
+                out.finish[i] = surfel.finish;
+                surfels.push((key, surfel));
             }
         }
         let gathered = self.bounces.as_ref().map(|b| b.gather(self, &out, &surfels));
-        out.radiance = self.radiance(camera, density, gathered.as_deref());
+        out.radiance = self.radiance(camera, density, &surfels, gathered.as_deref());
         out
     }
 
-    fn radiance(&self, camera: &Camera, density: u32, gathered: Option<&[[f32; 3]]>) -> Vec<[f32; 3]> {
-        let buffer = VisibilityBuffer::new(&self.scene.objects, camera, density);
-        let rays = Rays::new(camera, &buffer.intrinsics);
-        let (width, per_pixel) = (camera.width as usize, (density * density) as f32);
-        let mut sums = vec![[0f32; 3]; width * camera.height as usize];
-        for (i, sample) in buffer.samples.iter().enumerate() {
-            let (col, row) = (i as u32 % buffer.width, i as u32 / buffer.width);
-            let direction = rays.direction(col, row);
-            let (_, room) = self.nearest(&rays.origin, &direction, sample);
-            let surfel = self.surfel(&rays.origin, &direction, sample, &room);
-            let pixel = (row / density) as usize * width + (col / density) as usize;
-            let arriving = gathered.map(|g| g[pixel]);
-            let color = self.shade(&surfel, &(-direction.normalize()), filter_turn(col, row), arriving);
-            let sum = &mut sums[pixel];
-            for k in 0..3 {
-                // A clipped sample keeps its edge smooth; an unclipped highlight would turn the whole pixel white.
-                sum[k] += color[k].min(4.0) / per_pixel;
-            }
-        }
-        sums
-    }
-
-    /// Depth along the optical axis, and the place in the room unless an object is in front of it.
-    fn nearest(
+    /// Depth along the optical axis and what is there, through pixel column `col` of the row that `line` stands for.
+    pub(super) fn seen(
         &self,
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
         sample: &Sample,
-    ) -> (f32, Option<RoomPlace>) {
-        let room = self.scene.room.meet(origin, direction);
-        if sample.inv_z * room.t > 1.0 { (1.0 / sample.inv_z, None) } else { (room.t, Some(room)) }
+        line: &RoomLine,
+        col: u32,
+    ) -> (f32, (SurfaceKey, Surfel)) {
+        let z = if sample.inv_z > 0.0 { 1.0 / sample.inv_z } else { f32::INFINITY };
+        let room = line.meet(col, direction, z);
+        let surfel = self.surfel(origin, direction, sample, &room);
+        match room {
+            Some(place) => {
+                let (block, axis) = place.side();
+                (place.t, (SurfaceKey::Room(block, axis), surfel))
+            }
+            None => (z, (SurfaceKey::Object(sample.object), surfel)),
+        }
     }
 
     pub(super) fn surfel(
@@ -161,24 +164,24 @@ impl<'a> SceneRenderer<'a> {
             let point = origin + direction * place.t;
             return Surfel { point, normal: hit.normal, albedo: hit.albedo, finish: hit.finish };
         }
-        let placed = &self.scene.objects[sample.object as usize];
+        let object = sample.object as usize;
+        let placed = &self.scene.objects[object];
         let mesh = &placed.mesh;
-        let face = mesh.faces[sample.face as usize].map(|i| i as usize);
+        let [i, j, k] = mesh.faces[sample.face as usize].map(|i| i as usize);
         let [b, c] = sample.weights;
-        let weights = [1.0 - b - c, b, c];
-        let mix =
-            |k: usize, of: &dyn Fn(usize, usize) -> f32| (0..3).map(|j| weights[j] * of(face[j], k)).sum();
-        let local: Vector3<f32> = Vector3::from_fn(|k, _| mix(k, &|v, k| mesh.normals[v][k]));
-        let mut normal = (placed.t_world_object.rotation.cast::<f32>() * local).normalize();
+        let a = 1.0 - b - c;
+        let [p, q, r] = [i, j, k].map(|v| Vector3::from(mesh.normals[v]));
+        let mut normal = (self.rotations[object] * (p * a + q * b + r * c)).normalize();
         if normal.dot(direction) > 0.0 {
             normal = -normal;
         }
         let albedo = match &mesh.texture {
             Some(picture) if !mesh.uvs.is_empty() => {
-                let uv = [mix(0, &|v, k| mesh.uvs[v][k]), mix(1, &|v, k| mesh.uvs[v][k])];
+                let [p, q, r] = [i, j, k].map(|v| mesh.uvs[v]);
+                let uv = std::array::from_fn(|axis| a * p[axis] + b * q[axis] + c * r[axis]);
                 texture::sample(picture, uv, Wrap::Repeat)
             }
-            _ if !mesh.colors.is_empty() => texture::color_to_linear(mesh.colors[face[0]]),
+            _ if !mesh.colors.is_empty() => texture::color_to_linear(mesh.colors[i]),
             _ => [0.5; 3],
         };
         Surfel { point: origin + direction / sample.inv_z, normal, albedo, finish: placed.finish }
@@ -186,8 +189,8 @@ impl<'a> SceneRenderer<'a> {
 
     /// Light that a surface met by a gathering ray sends back: what the lights give it, and some of the ambient light.
     pub(super) fn bounced(&self, surfel: &Surfel, direction: &Vector3<f32>) -> Vector3<f32> {
-        let ambient = self.surroundings(&surfel.normal).map(|c| 0.5 * c).into();
-        let color = self.shade(surfel, &-direction, [1.0, 0.0], Some(ambient));
+        let ambient = 0.5 * self.surroundings(&surfel.normal);
+        let color = self.reflection(surfel, &-direction, [1.0, 0.0], Some(ambient.into())).of(&surfel.albedo);
         // Fireflies would need more rays to average out.
         color.map(|c| c.min(2.0)).into()
     }
@@ -198,71 +201,35 @@ impl<'a> SceneRenderer<'a> {
         Vector3::from(self.scene.sky) * up + Vector3::from(self.scene.ground) * (1.0 - up)
     }
 
-    /// Radiance towards `view`; `arriving` is the gathered ambient light where there is any.
-    fn shade(
+    /// Light that goes towards `view`; `arriving` is the gathered ambient light where there is any.
+    pub(super) fn reflection(
         &self,
         surfel: &Surfel,
         view: &Vector3<f32>,
         turn: [f32; 2],
         arriving: Option<[f32; 3]>,
-    ) -> [f32; 3] {
-        let shaded = Shaded { normal: &surfel.normal, view, albedo: surfel.albedo, finish: surfel.finish };
-        let mut color = match arriving {
+    ) -> Reflection {
+        let shaded = Shaded { normal: &surfel.normal, view, finish: surfel.finish };
+        let mut reflection = match arriving.map(Vector3::from) {
             Some(light) => shaded.ambient(&light, &light, 1.0),
             None => {
                 let open = self.sky.visibility(&surfel.point, &surfel.normal, turn);
-                shaded.ambient(&self.scene.sky, &self.scene.ground, 0.35 + 0.65 * open)
+                let (sky, ground) = (self.scene.sky.into(), self.scene.ground.into());
+                shaded.ambient(&sky, &ground, 0.35 + 0.65 * open)
             }
         };
         for (light, shadow) in self.scene.lights.iter().zip(&self.shadows) {
             let to_light = light.position - surfel.point;
             let squared = to_light.norm_squared();
-            let direction = to_light / squared.sqrt();
-            let Some((diffuse, specular)) = shaded.reflect(&direction) else { continue };
+            let Some(reflected) = shaded.reflect(&(to_light / squared.sqrt())) else { continue };
             let visible = shadow.visibility(&surfel.point, &surfel.normal, turn);
-            let falloff = (light.position - self.center).norm_squared() / squared * visible;
-            for k in 0..3 {
-                color[k] += light.color[k] * falloff * (diffuse[k] + specular[k]);
+            if visible > 0.0 {
+                let falloff = (light.position - self.center).norm_squared() / squared * visible;
+                reflection.add(&(Vector3::from(light.color) * falloff), reflected);
             }
         }
-        color
+        reflection
     }
-}
-
-/// Viewing rays in the world; `origin + z * direction` lies at depth z.
-struct Rays {
-    origin: Vector3<f32>,
-    rotation: Matrix3<f32>,
-    intrinsics: Intrinsics,
-}
-
-impl Rays {
-    fn new(camera: &Camera, intrinsics: &Intrinsics) -> Self {
-        let t_world_camera = camera.t_camera_world.inverse();
-        Self {
-            origin: t_world_camera.translation.cast(),
-            rotation: t_world_camera.rotation.cast(),
-            intrinsics: *intrinsics,
-        }
-    }
-
-    fn direction(&self, col: u32, row: u32) -> Vector3<f32> {
-        let p = self.intrinsics.back_project(col.into(), row.into(), 1.0);
-        self.rotation * p.coords.cast::<f32>()
-    }
-}
-
-/// Rotation (cos, sin) of the shadow filter, varying from sample to sample so that banding becomes grain.
-fn filter_turn(col: u32, row: u32) -> [f32; 2] {
-    let hash = (col.wrapping_mul(0x9E37_79B1) ^ row.wrapping_mul(0x85EB_CA77)).wrapping_mul(0xC2B2_AE3D);
-    static TURNS: std::sync::OnceLock<[[f32; 2]; 64]> = std::sync::OnceLock::new();
-    let turns = TURNS.get_or_init(|| {
-        std::array::from_fn(|k| {
-            let (s, c) = (k as f32 * std::f32::consts::TAU / 64.0).sin_cos();
-            [c, s]
-        })
-    });
-    turns[(hash >> 26) as usize]
 }
 
 pub(super) fn luminance(c: &[f32; 3]) -> f32 {

@@ -57,6 +57,12 @@ impl Backgrounds {
         Surface { angle: 0.0, ..surface(picture, tile, 0.7, rng) }
     }
 
+    /// A printed sheet of this size in metres: a page, a magazine, a poster.
+    pub fn sheet(&self, [width, height]: [f32; 2], rng: &mut ChaCha8Rng) -> Surface {
+        let picture = texture::sheet(width / height, 192, rng);
+        Surface { angle: 0.0, ..surface(picture, width.max(height), 0.4, rng) }
+    }
+
     /// One colour, as of plastic or board.
     pub fn plain(&self, rng: &mut ChaCha8Rng) -> Surface {
         surface(texture::plain(rng), 1.0, 0.3, rng)

@@ -14,7 +14,7 @@ use crate::{
 const CONFIG_FILE: &str = "generation.json";
 /// Version of everything that decides a set's content besides the configuration. Files of the first version do not
 /// name it.
-const GENERATOR: u64 = 2;
+const GENERATOR: u64 = 3;
 const GENERATOR_KEY: &str = "generator";
 
 /// The two kinds of sets.

@@ -69,13 +69,14 @@ pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng)
     let radius = spots.iter().map(|s| (s.0 - center).norm() + 0.7 * s.1).fold(0.05, f32::max);
     let top = spots.iter().map(|s| s.0.z + s.1).fold(0.0, f32::max);
     let reach = spots.iter().map(|s| s.0.xy().norm() + s.1).fold(0.0, f32::max);
+    let farthest = config.camera.distance[1].max(radius + 0.2);
     let lights = lights(&center, &place, rng);
     let tint = tint(rng, 0.12);
     let sky = rng.log_between(0.08, 0.6);
     let ground = sky * rng.between(0.25, 0.7);
     let scene = Scene {
         objects: placed,
-        room: place.room(reach, top, &stock.backgrounds, rng),
+        room: place.room([reach, top, farthest], &stock.backgrounds, rng),
         lights,
         sky: tint.map(|t| t * sky),
         ground: tint.map(|t| t * ground),

@@ -103,12 +103,17 @@ impl Place {
         }
     }
 
-    /// The room around it; `reach` is how far from the middle the objects reach, `top` how high.
-    pub fn room(&self, reach: f32, top: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Room {
+    /// The room around it; `reach` is how far from the middle the objects reach, `top` how high, `far` how far away
+    /// cameras are, so that all stand inside.
+    pub fn room(&self, [reach, top, far]: [f32; 3], backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Room {
         let floor_drop = rng.between(0.4, 0.9);
-        let half = rng.between(2.0, 4.0);
+        let half = rng.between(2.0, 4.0).max(far + reach + 0.2);
         let mut blocks = match *self {
-            Place::Table => vec![table(reach, backgrounds, rng)],
+            Place::Table => {
+                let mut blocks = vec![table(reach, backgrounds, rng)];
+                papers(&mut blocks, reach, backgrounds, rng);
+                blocks
+            }
             Place::Bin { half, height, thick } => bin(half, height, thick, backgrounds, rng),
             Place::Shelf { half, thick } => shelf(half, thick, top, backgrounds, rng),
         };
@@ -119,7 +124,7 @@ impl Place {
             wall: backgrounds.wall(rng),
             floor_drop,
             half,
-            ceiling: rng.between(2.0, 2.6),
+            ceiling: rng.between(2.0, 2.6).max(far + top + 0.2),
         }
     }
 }
@@ -132,6 +137,25 @@ fn table(reach: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Block {
     let surface = backgrounds.material(320, [0.5, 1.2], 0.3, rng);
     let turn = rng.between(0.0, TAU).sin_cos().into();
     Block { center: Vector3::z() * (-0.5 * TABLE_THICKNESS), half, turn, surface, casts_shadow: false }
+}
+
+/// Printed sheets on a table, thin enough to lie under the objects: the physics has its ground half a millimetre above
+/// the table.
+fn papers(blocks: &mut Vec<Block>, reach: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) {
+    const THICKNESS: f32 = 8e-5;
+    let count = if rng.chance(0.4) { rng.count(1, 5) } else { 0 };
+    for k in 0..count {
+        let long = rng.between(0.1, 0.32);
+        let size = [long, long * rng.between(0.55, 0.8)];
+        let (s, c) = rng.between(0.0, TAU).sin_cos();
+        let distance = 0.9 * reach * rng.between(0.0, 1.0).sqrt();
+        let top = THICKNESS * (k + 1) as f32;
+        let center = Vector3::new(distance * c, distance * s, 0.5 * top);
+        let turn = rng.between(0.0, TAU).sin_cos().into();
+        let surface = backgrounds.sheet(size, rng);
+        let half = [0.5 * size[0], 0.5 * size[1], 0.5 * top];
+        blocks.push(Block { center, half, turn, surface, casts_shadow: false });
+    }
 }
 
 fn board(center: [f32; 3], half: [f32; 3], surface: &Surface) -> Block {

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     DepthSensor, REFERENCE_WIDTH, Style,
     field::{correlated, normal_cdf},
-    reflection_loss,
+    reflection_loss, spots,
 };
 use crate::{config::SensorConfig, frame::DepthMap, render::Rendering, synth::random::Draw};
 
@@ -51,36 +51,40 @@ impl DepthSensor {
         let scale = w as f32 / REFERENCE_WIDTH;
         let mut field = |length: f32| correlated(w, h, length * scale, rng);
         let [fine, medium, coarse] = [field(2.0), field(5.0), field(30.0)];
-        let (shift_x, shift_y, hole_blob, edge_blob) =
-            (field(8.0), field(8.0), field(self.hole_length), field(4.0));
+        let (shift_x, shift_y, edge_blob) = (field(8.0), field(8.0), field(4.0));
+        let hole_blob = spots(w, h, self.hole_length * scale, rng);
         let focal_baseline = focal * self.baseline;
         let disparity = |z: f32| focal_baseline / z;
         let hidden = self.occluded(exact, focal_baseline);
         let mut measured = DepthMap::zeros(exact.width, exact.height);
+        let reach = (2.5 * scale).max(1.0).round() as usize;
         for row in 0..h {
             for col in 0..w {
                 let i = row * w + col;
                 let jitter = config.edge_jitter * matcher.edges * scale;
                 let (dx, dy) = (shift_x[i] * jitter, shift_y[i] * jitter);
-                let at = |x: f32, y: f32| {
-                    let c = (col as f32 + x).round().clamp(0.0, (w - 1) as f32) as usize;
-                    let r = (row as f32 + y).round().clamp(0.0, (h - 1) as f32) as usize;
-                    r * w + c
-                };
+                // Half a pixel more and cut off is rounded, without a call into libm on plain x86-64.
+                let shifted =
+                    |from: usize, by: f32, n: usize| ((from as f32 + by + 0.5).max(0.0) as usize).min(n - 1);
+                let source = shifted(row, dy, h) * w + shifted(col, dx, w);
                 let own = exact.data[i];
-                let moved = exact.data[at(dx, dy)];
+                let moved = exact.data[source];
                 // Only edges move; along a smooth surface the sensor sees its own point.
                 let jump = |z: f32| (disparity(z) - disparity(own)).abs() > 0.7 * scale.max(0.4);
                 let mut z = if jump(moved) && (!matcher.fattens || moved < own) { moved } else { own };
-                let reach = (2.5 * scale).max(1.0);
-                let beside = [(reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach)]
-                    .map(|(x, y)| exact.data[at(x, y)])
-                    .into_iter()
-                    .find(|&n| jump(n));
+                let beside = [
+                    row * w + (col + reach).min(w - 1),
+                    row * w + col.saturating_sub(reach),
+                    (row + reach).min(h - 1) * w + col,
+                    row.saturating_sub(reach) * w + col,
+                ]
+                .map(|k| exact.data[k])
+                .into_iter()
+                .find(|&n| jump(n));
                 let (dice, mix) = (rng.between(0.0, 1.0), rng.between(0.0, 1.0));
                 let mut loss = reflection_loss(view, i, brightness[i], config);
                 if let Some(other) = beside {
-                    loss = loss.max(config.edge_loss);
+                    loss = loss.max(config.edge_loss * self.edges);
                     if mix < config.flying {
                         z = own + (other - own) * dice;
                     }
@@ -94,11 +98,12 @@ impl DepthSensor {
                     true => flatness(brightness, w, h, row, col),
                     false => 0.0,
                 };
-                loss = loss.max(0.25 * blank);
+                loss = loss.max(0.06 * blank);
                 // Holes come in blobs: a smooth field decides most of them.
                 let blob = if beside.is_some() { edge_blob[i] } else { hole_blob[i] };
-                let rank = normal_cdf(blob) * (1.0 - self.hole_grain) + mix * self.hole_grain;
-                let lost = rank < loss || dice < config.speckle_loss || hidden[at(dx, dy)];
+                let rank = || normal_cdf(blob) * (1.0 - self.hole_grain) + mix * self.hole_grain;
+                let failed = loss > 0.0 && rank() < loss;
+                let lost = failed || dice < config.speckle_loss || hidden[source];
                 let in_range = z > config.range[0] && z < config.range[1];
                 if lost || !in_range {
                     continue;
@@ -110,7 +115,8 @@ impl DepthSensor {
                 if config.disparity_steps > 0.0 {
                     let steps = config.disparity_steps * matcher.steps / scale;
                     // Dithered by the sub-pixel interpolation of the matcher, so steps are not sharp.
-                    d = ((d * steps) + 0.5 * (rng.between(0.0, 1.0) - 0.5)).round() / steps;
+                    let step = d * steps + 0.5 * (rng.between(0.0, 1.0) - 0.5);
+                    d = (step + 0.5) as i32 as f32 / steps;
                 }
                 measured.data[i] = if d > 0.0 { focal_baseline / d } else { 0.0 };
             }

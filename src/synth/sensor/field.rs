@@ -9,26 +9,48 @@ pub(super) fn correlated(w: usize, h: usize, length: f32, rng: &mut ChaCha8Rng) 
     let spacing = length.max(1.0);
     let (cols, rows) = ((w as f32 / spacing) as usize + 3, (h as f32 / spacing) as usize + 3);
     let lattice: Vec<f32> = (0..cols * rows).map(|_| rng.normal()).collect();
+    let across: Vec<(usize, [f32; 2])> = (0..w).map(|col| weights(col as f32 / spacing)).collect();
     let mut field = Vec::with_capacity(w * h);
+    let mut line = vec![0.0; cols];
     for row in 0..h {
-        let y = row as f32 / spacing;
-        let (r, fy) = (y as usize, y.fract());
-        for col in 0..w {
-            let x = col as f32 / spacing;
-            let (c, fx) = (x as usize, x.fract());
-            let at = |dr: usize, dc: usize| lattice[(r + dr) * cols + c + dc];
-            let (wx, wy) = ([1.0 - fx, fx], [1.0 - fy, fy]);
-            let sum =
-                wy[0] * (wx[0] * at(0, 0) + wx[1] * at(0, 1)) + wy[1] * (wx[0] * at(1, 0) + wx[1] * at(1, 1));
-            // Interpolation shrinks the variance by the sum of squared weights.
-            let variance = (wx[0] * wx[0] + wx[1] * wx[1]) * (wy[0] * wy[0] + wy[1] * wy[1]);
-            field.push(sum / variance.sqrt());
+        let (r, [near, far]) = weights(row as f32 / spacing);
+        let (above, below) = (&lattice[r * cols..][..cols], &lattice[(r + 1) * cols..][..cols]);
+        for (value, (a, b)) in line.iter_mut().zip(above.iter().zip(below)) {
+            *value = near * a + far * b;
         }
+        field.extend(across.iter().map(|&(c, [near, far])| near * line[c] + far * line[c + 1]));
     }
     field
+}
+
+/// Lattice cell and the weights of its two ends; interpolation shrinks the variance by the sum of squared weights, which
+/// is made up for.
+fn weights(place: f32) -> (usize, [f32; 2]) {
+    let cell = place as usize;
+    let t = place - cell as f32;
+    let scale = 1.0 / ((1.0 - t) * (1.0 - t) + t * t).sqrt();
+    (cell, [(1.0 - t) * scale, t * scale])
 }
 
 /// Distribution function of the standard normal (logistic approximation, error below 0.01).
 pub(super) fn normal_cdf(x: f32) -> f32 {
     1.0 / (1.0 + (-1.702 * x).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::random::{Domain, stream};
+
+    #[test]
+    fn fields_have_unit_variance_and_fall_off_with_distance() {
+        let (w, h) = (400, 300);
+        let field = correlated(w, h, 6.0, &mut stream(3, Domain::Sensor, 0));
+        let product = |shift: usize| {
+            let pairs = (0..w * h - shift).map(|i| f64::from(field[i] * field[i + shift]));
+            pairs.sum::<f64>() / (w * h - shift) as f64
+        };
+        assert!((product(0) - 1.0).abs() < 0.06, "{}", product(0));
+        assert!(product(1) > 0.9 && product(12).abs() < 0.06, "{} {}", product(1), product(12));
+    }
 }

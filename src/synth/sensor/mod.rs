@@ -8,6 +8,7 @@ mod disparity;
 mod field;
 mod time_of_flight;
 
+use field::correlated;
 use rand_chacha::ChaCha8Rng;
 
 use super::random::Draw;
@@ -35,6 +36,8 @@ pub(super) struct DepthSensor {
     hole_length: f32,
     /// Share of the failures that are single pixels.
     hole_grain: f32,
+    /// Share of `edge_loss` that this sensor shows: some fill or filter their edges.
+    edges: f32,
     /// Time of flight: offset of dark against bright surfaces and amplitude of the wiggling, -1..1 of the limit.
     offsets: [f32; 2],
 }
@@ -61,6 +64,7 @@ impl DepthSensor {
             side,
             hole_length: rng.log_between(4.0, 18.0),
             hole_grain: rng.between(0.0, 0.3),
+            edges: if rng.chance(0.3) { rng.between(0.0, 0.2) } else { rng.between(0.3, 1.6) },
             offsets: [rng.between(-1.0, 1.0), rng.between(-1.0, 1.0)],
         }
     }
@@ -79,6 +83,13 @@ impl DepthSensor {
             _ => self.measure_disparity(view, focal, brightness, config, rng),
         }
     }
+}
+
+/// Noise whose low values are where measurements fail: spots of two sizes.
+fn spots(w: usize, h: usize, length: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let (mut large, small) = (correlated(w, h, length, rng), correlated(w, h, 0.3 * length, rng));
+    large.iter_mut().zip(small).for_each(|(a, b)| *a = 0.8 * *a + 0.6 * b);
+    large
 }
 
 /// Chance that a surface returns too little light or too much of it.

@@ -29,7 +29,7 @@ fn step(z: f32, albedo: f32) -> Rendering {
 fn measure(style: Style, view: &Rendering, seed: u64) -> DepthMap {
     let config = SensorConfig { noise_gain: [1.0, 1.0], ..SensorConfig::default() };
     let mut rng = stream(seed, Domain::Sensor, 0);
-    let sensor = DepthSensor { style, baseline: 0.075, ..DepthSensor::draw(&config, &mut rng) };
+    let sensor = DepthSensor { style, baseline: 0.075, edges: 1.0, ..DepthSensor::draw(&config, &mut rng) };
     // Fine contrast, so that stereo finds something to match.
     let picture: Vec<f32> = (0..view.albedo.len()).map(|i| 0.4 + 0.1 * (i % 2) as f32).collect();
     sensor.measure(view, 300.0, &picture, &config, &mut rng)

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     DepthSensor, REFERENCE_WIDTH,
     field::{correlated, normal_cdf},
-    reflection_loss,
+    reflection_loss, spots,
 };
 use crate::{config::SensorConfig, frame::DepthMap, render::Rendering, synth::random::Draw};
 
@@ -33,8 +33,8 @@ impl DepthSensor {
         let exact = &view.depth;
         let (w, h) = (exact.width as usize, exact.height as usize);
         let scale = w as f32 / REFERENCE_WIDTH;
-        let mut field = |length: f32| correlated(w, h, length * scale, rng);
-        let (grain, hole_blob) = (field(1.6), field(self.hole_length));
+        let grain = correlated(w, h, 1.6 * scale, rng);
+        let hole_blob = spots(w, h, self.hole_length * scale, rng);
         let [wiggle, shade] = self.offsets.map(|o| o * config.tof_offset);
         let mut measured = DepthMap::zeros(exact.width, exact.height);
         for i in 0..w * h {
@@ -65,16 +65,16 @@ impl DepthSensor {
             let reflectance = view.albedo[i].max(0.02);
             let mut loss = reflection_loss(view, i, brightness[i], config);
             if mixed {
-                loss = loss.max(config.edge_loss);
+                loss = loss.max(config.edge_loss * self.edges);
             }
             // Light comes back from flatter angles than a pattern can be matched at.
             let grazing = 0.5 * config.grazing_cos;
             if incidence < grazing {
                 loss = loss.max(1.0 - incidence / grazing);
             }
-            let rank = normal_cdf(hole_blob[i]) * (1.0 - self.hole_grain) + dice * self.hole_grain;
+            let rank = || normal_cdf(hole_blob[i]) * (1.0 - self.hole_grain) + dice * self.hole_grain;
             let in_range = z > config.range[0] && z < config.range[1];
-            if rank < loss || dice < config.speckle_loss || !in_range {
+            if (loss > 0.0 && rank() < loss) || dice < config.speckle_loss || !in_range {
                 continue;
             }
             let [constant, squared] = config.tof_noise;

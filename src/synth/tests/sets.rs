@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use parry3d::shape::TriMesh;
 
 use super::{super::*, small};
-use crate::{config::SynthConfig, formats::megapose::ShardDataset};
+use crate::{config::SynthConfig, formats::megapose::ShardDataset, frame::Mask, render::depth::render_depth};
 
 /// Every file below a folder.
 fn contents(root: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -68,11 +68,11 @@ fn same_bytes_with_any_threads_and_after_an_interruption() {
 
 #[test]
 fn a_generated_set_is_read_back_with_metric_poses() {
-    let config = SynthConfig { width: 320, height: 240, images: 4, ..small() };
+    let config = SynthConfig { width: 320, height: 240, images: 6, ..small() };
     let folder = tempfile::tempdir().unwrap();
     generate(&config, folder.path(), &|_| {}).unwrap();
     let dataset = ShardDataset::open(folder.path()).unwrap();
-    assert_eq!((dataset.image_keys().len(), dataset.problems().len()), (4, 0));
+    assert_eq!((dataset.image_keys().len(), dataset.problems().len()), (6, 0));
     assert!(dataset.instances().len() >= 4, "{} valid instances", dataset.instances().len());
     let mut errors = Vec::new();
     for reference in dataset.instances() {
@@ -100,6 +100,55 @@ fn a_generated_set_is_read_back_with_metric_poses() {
         "measured points lie {median} m (median), {p90} m (90 %) off the models"
     );
     assert!(Vector3::from(mesh_size(folder.path())).norm() < 0.5);
+}
+
+/// Every shard: the pose of every instance puts the vertices of its written model on its silhouette, and the drawn model
+/// covers it.
+#[test]
+fn poses_of_every_shard_put_the_models_on_their_pixels() {
+    let config = SynthConfig {
+        width: 320,
+        height: 240,
+        images: 6,
+        images_per_shard: 2,
+        write_models: true,
+        ..small()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    generate(&config, folder.path(), &|_| {}).unwrap();
+    let dataset = ShardDataset::open(folder.path()).unwrap();
+    let (mut instances, mut lowest) = (0, 1f64);
+    for image in 0..6 {
+        let (annotated, records) = (dataset.load(image).unwrap(), dataset.records(image).unwrap());
+        let frame = &annotated.frame;
+        for (gt, mask) in records.gt.iter().zip(&records.mask) {
+            let mask = mask.decode().unwrap();
+            if mask.count() < 200 {
+                continue;
+            }
+            let pose = gt.pose("gt").unwrap();
+            let path = folder.path().join(format!("models/obj_{:06}.ply", gt.obj_id));
+            let mesh = crate::mesh::load(&path, 0.001).unwrap();
+            let drawn = render_depth(&mesh, &pose, &frame.intrinsics, 320, 240).to_depth_map(320, 240);
+            let data = drawn.data.iter().map(|z| *z > 0.0).collect();
+            lowest = lowest.min(mask.iou(&Mask { width: 320, height: 240, data }));
+            let in_image = |p: &[f32; 3]| {
+                let uv = frame.intrinsics.project(&pose.transform(&Point3::from(*p).cast()))?;
+                let (col, row) = (uv.x.round(), uv.y.round());
+                let inside = (1.0..319.0).contains(&col) && (1.0..239.0).contains(&row);
+                inside.then_some((col as u32, row as u32))
+            };
+            let near = |&(col, row): &(u32, u32)| {
+                (row - 1..=row + 1).any(|r| (col - 1..=col + 1).any(|c| mask.get(c, r)))
+            };
+            let seen: Vec<(u32, u32)> = mesh.vertices.iter().filter_map(in_image).collect();
+            let hits = seen.iter().filter(|at| near(at)).count();
+            assert!(hits as f64 >= 0.98 * seen.len() as f64, "{hits} of {} vertices", seen.len());
+            instances += 1;
+        }
+    }
+    assert!(instances >= 12, "{instances} instances");
+    assert!(lowest > 0.98, "lowest IoU of mask and drawn model {lowest}");
 }
 
 fn mesh_size(folder: &Path) -> [f32; 3] {

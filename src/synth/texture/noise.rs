@@ -13,11 +13,17 @@ pub(in crate::synth) fn hash(x: i32, y: i32, z: i32, seed: u32) -> f32 {
     ((h ^ (h >> 13)) >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
+/// Cell of the lattice and place in it; without a call into libm on plain x86-64.
+fn cell(x: f32) -> (i32, f32) {
+    let truncated = x as i32;
+    let floor = truncated - i32::from((truncated as f32) > x);
+    (floor, x - floor as f32)
+}
+
 /// Value noise, smooth, in [-1, 1], feature size 1.
 pub(in crate::synth) fn value(p: &Vector3<f32>, seed: u32) -> f32 {
-    let cell = p.map(|x| x.floor());
-    let f = (p - cell).map(|t| t * t * (3.0 - 2.0 * t));
-    let [x, y, z] = [cell.x as i32, cell.y as i32, cell.z as i32];
+    let [(x, fx), (y, fy), (z, fz)] = [p.x, p.y, p.z].map(cell);
+    let f = Vector3::new(fx, fy, fz).map(|t| t * t * (3.0 - 2.0 * t));
     let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
     let edge = |dy: i32, dz: i32| mix(hash(x, y + dy, z + dz, seed), hash(x + 1, y + dy, z + dz, seed), f.x);
     let sheet = |dz: i32| mix(edge(0, dz), edge(1, dz), f.y);
@@ -38,11 +44,11 @@ pub(in crate::synth) fn fractal(p: &Vector3<f32>, octaves: u32, seed: u32) -> f3
 
 /// Distance to the nearest and second nearest point of a jittered grid of cell size 1, and the nearest cell's hash.
 pub(in crate::synth) fn cells(p: &Vector3<f32>, seed: u32) -> (f32, f32, f32) {
-    let base = p.map(|x| x.floor());
+    let base = [p.x, p.y, p.z].map(|x| cell(x).0);
     let (mut first, mut second, mut id) = (f32::MAX, f32::MAX, 0.0);
     for i in 0..27 {
         let [x, y, z] = [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1];
-        let (cx, cy, cz) = (base.x as i32 + x, base.y as i32 + y, base.z as i32 + z);
+        let (cx, cy, cz) = (base[0] + x, base[1] + y, base[2] + z);
         let jitter = |k: u32| hash(cx, cy, cz, seed.wrapping_add(k));
         let center = Vector3::new(cx as f32 + jitter(1), cy as f32 + jitter(2), cz as f32 + jitter(3));
         let distance = (center - p).norm();

@@ -18,15 +18,28 @@ pub(in crate::synth) fn hsv(h: f32, s: f32, v: f32) -> Color {
     Vector3::new(channel(5.0), channel(3.0), channel(1.0))
 }
 
+/// Hues of dyes and pigments in use, turns: red, orange, yellow, green, blue.
+const HUES: [(f32, f32); 6] =
+    [(0.985, 0.02), (0.06, 0.02), (0.13, 0.02), (0.34, 0.06), (0.58, 0.04), (0.64, 0.03)];
+
+/// Most dyed things have one of a few hues.
+fn hue(rng: &mut ChaCha8Rng) -> f32 {
+    if rng.chance(0.3) {
+        return rng.between(0.0, 1.0);
+    }
+    let (middle, width) = *rng.pick(&HUES);
+    middle + width * rng.normal().clamp(-2.0, 2.0)
+}
+
 /// A colour as objects have them: many are grey, white or black, some are vivid.
 pub(in crate::synth) fn object_color(rng: &mut ChaCha8Rng) -> Color {
-    match rng.count(0, 9) {
-        0 => hsv(0.0, 0.0, rng.between(0.75, 0.97)),
-        1 => hsv(rng.between(0.0, 1.0), rng.between(0.0, 0.1), rng.between(0.08, 0.25)),
-        2 => hsv(rng.between(0.0, 1.0), rng.between(0.0, 0.12), rng.between(0.3, 0.75)),
-        3 => hsv(rng.between(0.04, 0.13), rng.between(0.2, 0.6), rng.between(0.4, 0.9)),
-        4 | 5 => hsv(rng.between(0.0, 1.0), rng.between(0.15, 0.5), rng.between(0.5, 0.95)),
-        _ => hsv(rng.between(0.0, 1.0), rng.between(0.55, 1.0), rng.between(0.35, 0.95)),
+    match rng.count(0, 11) {
+        0 | 1 => hsv(0.0, 0.0, rng.between(0.75, 0.97)),
+        2 => hsv(rng.between(0.0, 1.0), rng.between(0.0, 0.1), rng.between(0.08, 0.25)),
+        3 | 4 => hsv(rng.between(0.0, 1.0), rng.between(0.0, 0.12), rng.between(0.3, 0.75)),
+        5 => hsv(rng.between(0.04, 0.13), rng.between(0.2, 0.6), rng.between(0.4, 0.9)),
+        6 | 7 => hsv(hue(rng), rng.between(0.15, 0.5), rng.between(0.4, 0.95)),
+        _ => hsv(hue(rng), rng.between(0.55, 0.95), rng.between(0.3, 0.9)),
     }
 }
 

@@ -16,6 +16,24 @@ pub(in crate::synth) fn plain(rng: &mut ChaCha8Rng) -> RgbImage {
     RgbImage::from_pixel(2, 2, to_pixel(&object_color(rng)))
 }
 
+/// A printed sheet of the given width to height ratio, centred at the corners of a square picture that repeats: the
+/// coordinates of a surface start in its middle.
+pub(in crate::synth) fn sheet(aspect: f32, resolution: u32, rng: &mut ChaCha8Rng) -> RgbImage {
+    let paper = if rng.chance(0.6) { Color::repeat(rng.between(0.8, 0.97)) } else { object_color(rng) };
+    let print = print::label(aspect, resolution, rng);
+    let half = |n: u32| (resolution - n.min(resolution)) / 2;
+    let (left, top) = (half(print.width()), half(print.height()));
+    RgbImage::from_fn(resolution, resolution, |x, y| {
+        let middle = |k: u32| (k + resolution / 2) % resolution;
+        let inside = |k: u32, before: u32, n: u32| middle(k).checked_sub(before).filter(|k| *k < n);
+        let place = inside(x, left, print.width()).zip(inside(y, top, print.height()));
+        match place.map(|(col, row)| print.get_pixel(col, row).0) {
+            Some([r, g, b, a]) if a > 0 => Rgb([r, g, b]),
+            _ => to_pixel(&paper),
+        }
+    })
+}
+
 /// A square picture without edges that repeat visibly.
 pub(in crate::synth) fn scenery(resolution: u32, rng: &mut ChaCha8Rng) -> RgbImage {
     let muted = |rng: &mut ChaCha8Rng| {
