@@ -14,18 +14,19 @@ mod reference;
 mod target_list;
 mod target_references;
 mod targets;
+mod uniforms;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
 pub use error::InferError;
 pub use estimator::{Estimate, PoseEstimator, Query, Timings};
 pub use pairs::{
-    EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
-    estimate_pairs,
+    EncodedReferences, PairEstimate, StageTimes, encode_references, estimate_encoded, estimate_pairs,
 };
 pub use reference::Reference;
 pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
 pub use targets::estimate_targets;
+pub use uniforms::Uniforms;
 pub use view_files::{View, ViewFiles, query_folder};
 
 pub use crate::registration::{IcpOutcome, IcpReference, Refinement, refine};

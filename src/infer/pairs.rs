@@ -3,11 +3,9 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Tensor};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{InferError, Matched, host_assignments};
+use super::{InferError, Matched, Uniforms, host_assignments};
 use crate::{
     config::ModelConfig,
     data::{CloudInput, PreparedReference, metric_pose, positional_groups},
@@ -74,37 +72,6 @@ pub struct EncodedReferences {
     position: Option<Tensor<3>>,
 }
 
-/// Where the uniform numbers that sample the hypotheses come from.
-#[derive(Clone, Copy, Debug)]
-pub enum Uniforms<'a> {
-    /// A stream per pair from a seed and the pair's position in the list.
-    Seed(u64),
-    /// The same stream for every pair: a pose does not depend on the pairs around it.
-    Shared(u64),
-    /// Given numbers in [0, 1), one list per pair (parity checks).
-    Given(&'a [Vec<f32>]),
-}
-
-impl Uniforms<'_> {
-    fn stream(&self, index: usize) -> impl FnMut() -> f32 {
-        let (seed, stream) = match self {
-            Self::Seed(seed) => (*seed, index as u64),
-            Self::Shared(seed) => (*seed, 0),
-            Self::Given(_) => (0, 0),
-        };
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(stream);
-        let mut given = match self {
-            Self::Seed(_) | Self::Shared(_) => None,
-            Self::Given(lists) => Some(lists.get(index).into_iter().flatten().copied()),
-        };
-        move || match &mut given {
-            None => rng.random(),
-            Some(list) => list.next().unwrap_or(0.0),
-        }
-    }
-}
-
 impl EncodedReferences {
     /// Several as one batch, in order; `None` for none.
     pub fn batch(items: &[&Self]) -> Option<Self> {
@@ -139,12 +106,23 @@ pub fn encode_references(
     device: &Device,
 ) -> EncodedReferences {
     let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
-    let cloud = CloudTensors::from_clouds(&clouds, config, device);
-    let features = model.encode(&cloud);
-    let position = model.fine_point_matching.as_ref().map(|stage| {
-        let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
-        stage.position(&group_tensors(&groups, config, device))
-    });
+    let features = model.encode(&CloudTensors::from_clouds(&clouds, config, device));
+    with_positions(model, config, references, features, device)
+}
+
+/// Adds what the fine stage needs of the references.
+fn with_positions(
+    model: &UnoPose,
+    config: &ModelConfig,
+    references: &[&PreparedReference],
+    features: CloudFeatures,
+    device: &Device,
+) -> EncodedReferences {
+    let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
+    let position = model
+        .fine_point_matching
+        .as_ref()
+        .map(|stage| stage.position(&group_tensors(&groups, config, device)));
     EncodedReferences { features, position }
 }
 
@@ -156,9 +134,14 @@ pub fn estimate_pairs(
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<Vec<PairEstimate>, InferError> {
+    let Some([query, reference]) = cloud_tensors(pairs, config, device) else { return Ok(Vec::new()) };
+    let start = Instant::now();
+    let [query_features, features] = model.encode_both(&query, &reference);
     let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
-    let encoded = encode_references(model, config, &references, device);
-    Ok(estimate_encoded(model, config, pairs, &encoded, uniforms, device)?.0)
+    let encoded = with_positions(model, config, &references, features, device);
+    let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
+    let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+    Ok(match_encoded(model, config, pairs, &clouds, uniforms, device, times)?.0)
 }
 
 /// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
@@ -170,21 +153,51 @@ pub fn estimate_encoded(
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
-    let mut times = StageTimes::default();
+    let start = Instant::now();
+    let Some([query, reference]) = cloud_tensors(pairs, config, device) else {
+        return Ok((Vec::new(), StageTimes::default()));
+    };
+    let query_features = model.encode(&query);
+    let clouds = EncodedClouds { query, query_features, reference, references };
+    let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+    match_encoded(model, config, pairs, &clouds, uniforms, device, times)
+}
+
+/// Queries and references of the pairs; `None` for no pairs.
+fn cloud_tensors(
+    pairs: &[(&CloudInput, &PreparedReference)],
+    config: &ModelConfig,
+    device: &Device,
+) -> Option<[CloudTensors; 2]> {
+    let queries: Vec<&CloudInput> = pairs.iter().map(|p| p.0).collect();
+    let references: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
+    (!pairs.is_empty())
+        .then(|| [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, config, device)))
+}
+
+/// Both sides of the pairs, encoded.
+struct EncodedClouds<'a> {
+    query: CloudTensors,
+    query_features: CloudFeatures,
+    reference: CloudTensors,
+    references: &'a EncodedReferences,
+}
+
+/// Matching and pose solving, with their times added to `times`.
+fn match_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    clouds: &EncodedClouds<'_>,
+    uniforms: Uniforms<'_>,
+    device: &Device,
+    mut times: StageTimes,
+) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
+    let EncodedClouds { query, query_features, reference, references } = clouds;
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
-    if pairs.is_empty() {
-        return Ok((Vec::new(), times));
-    }
-    let queries: Vec<&CloudInput> = pairs.iter().map(|p| p.0).collect();
-    let query = CloudTensors::from_clouds(&queries, config, device);
-    let query_features = model.encode(&query);
-    let clouds: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
-    let reference = CloudTensors::from_clouds(&clouds, config, device);
-    times.encode = lap();
-
     let coarse =
-        model.coarse((&query, &query_features), (&reference, &references.features), Supervision::LastBlock);
+        model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
     let coarse = match coarse.last() {
         Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
         None => Vec::new(),
@@ -225,8 +238,8 @@ pub fn estimate_encoded(
                 .collect();
             let groups = group_tensors(&groups.iter().collect::<Vec<_>>(), config, device);
             let blocks = model.fine(
-                (&query, &query_features, stage.position(&groups)),
-                (&reference, &references.features, reference_position.clone()),
+                (query, query_features, stage.position(&groups)),
+                (reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
             blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
