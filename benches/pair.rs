@@ -2,7 +2,7 @@
 //! `cargo bench --bench pair [-- --config geo] [--set model.color.depth=24] [--rounds 9]`.
 //!
 //! One query and one reference of the configuration's sizes (default: `unopose`, the paper's), untrained weights. A
-//! stage's time is the median over the rounds; the ratio is to a product of two 1024 x 1024 matrices in the same process.
+//! stage's time is the median over the rounds; the ratio is to a product of two 1024 x 1024 matrices right after it.
 
 use std::{hint::black_box, time::Instant};
 
@@ -42,30 +42,41 @@ struct Arguments {
 struct Bench {
     rounds: usize,
     device: Device,
-    product: f64,
+    /// Factors of the product that every round measures, too.
+    factors: [Tensor<2>; 2],
 }
 
 impl Bench {
-    /// Median seconds of `work`, after one round that does not count.
-    fn median<T>(&self, mut work: impl FnMut() -> T) -> f64 {
+    fn seconds<T>(&self, work: impl FnOnce() -> T) -> f64 {
+        let start = Instant::now();
         black_box(work());
-        let mut seconds: Vec<f64> = (0..self.rounds)
-            .map(|_| {
-                let start = Instant::now();
-                black_box(work());
-                // Backends may compute later; nothing is asked of an idle one.
-                let _ = self.device.sync();
-                start.elapsed().as_secs_f64()
-            })
-            .collect();
-        seconds.sort_unstable_by(f64::total_cmp);
-        seconds[self.rounds / 2]
+        // Backends may compute later; nothing is asked of an idle one.
+        let _ = self.device.sync();
+        start.elapsed().as_secs_f64()
     }
 
-    fn row<T>(&self, stage: &str, work: impl FnMut() -> T) -> f64 {
-        let seconds = self.median(work);
-        println!("| {stage} | {:.1} | {:.1} |", seconds * 1e3, seconds / self.product);
-        seconds
+    fn product(&self) -> f64 {
+        let [a, b] = &self.factors;
+        self.seconds(|| a.clone().matmul(b.clone()))
+    }
+
+    /// Prints the medians of `work / share` and of its ratio to a product right after it, after one round that does not
+    /// count. The CPU's clock follows its load, so a product measured at another time is another yardstick.
+    fn row<T>(&self, stage: &str, share: usize, mut work: impl FnMut() -> T) {
+        black_box(work());
+        let mut rounds: Vec<[f64; 2]> = (0..self.rounds)
+            .map(|_| {
+                let seconds = self.seconds(&mut work) / share.max(1) as f64;
+                let mut products = [self.product(), self.product(), self.product()];
+                products.sort_unstable_by(f64::total_cmp);
+                [seconds, seconds / products[1]]
+            })
+            .collect();
+        let [seconds, ratio] = [0, 1].map(|column| {
+            rounds.sort_unstable_by(|a, b| a[column].total_cmp(&b[column]));
+            rounds[self.rounds / 2][column]
+        });
+        println!("| {stage} | {:.1} | {ratio:.1} |", seconds * 1e3);
     }
 }
 
@@ -75,21 +86,21 @@ fn main() -> anyhow::Result<()> {
     let config = Config::embedded(&arguments.config, &arguments.overrides)?.model;
     let (device, backend) = arguments.device.open()?;
     let model = UnoPose::new(&config, 0, &device);
-    let mut bench = Bench { rounds: arguments.rounds.max(1), device: device.clone(), product: 1.0 };
-
     let matrix = || Tensor::<2>::random([1024, 1024], Distribution::Uniform(-1.0, 1.0), &device);
-    let (a, b) = (matrix(), matrix());
-    bench.product = bench.median(|| a.clone().matmul(b.clone()));
+    let bench =
+        Bench { rounds: arguments.rounds.max(1), device: device.clone(), factors: [matrix(), matrix()] };
     println!(
         "backend {backend}, {} threads, configuration {}",
         rayon::current_num_threads(),
         arguments.config
     );
     println!("\n| stage | ms | ratio |\n|--|--|--|");
+    let mut products: Vec<f64> = (0..20).map(|_| bench.product()).collect();
+    products.sort_unstable_by(f64::total_cmp);
     println!(
         "| product of 1024 x 1024 ({:.0} GFLOP/s) | {:.2} | 1 |",
-        2.0 * 1024f64.powi(3) / bench.product / 1e9,
-        bench.product * 1e3
+        2.0 * 1024f64.powi(3) / products[10] / 1e9,
+        products[10] * 1e3
     );
     stages(&bench, &model, &config);
 
@@ -105,27 +116,23 @@ fn main() -> anyhow::Result<()> {
             &device,
         )
     };
-    bench.row("**pair, cached reference**", || again(&query, &reference, &encoded));
-    bench.row("**whole pair**", || {
+    bench.row("**pair, cached reference**", 1, || again(&query, &reference, &encoded));
+    bench.row("**whole pair**", 1, || {
         estimate_pairs(&model, &config, &[(&query, &reference)], Uniforms::Shared(0), &device)
     });
+    let of_pair = peak_memory();
     let others: Vec<_> = (0..arguments.instances as u64).map(|seed| pair(&config, seed)).collect();
     let encoded: Vec<_> =
         others.iter().map(|(_, r)| encode_references(&model, &config, &[r], &device)).collect();
-    let seconds = bench.median(|| {
-        for ((query, reference), encoded) in others.iter().zip(&encoded) {
-            black_box(again(query, reference, encoded)).ok();
-        }
+    let batch: Vec<_> = others.iter().map(|(query, reference)| (query, reference)).collect();
+    let row = format!("**instance of {}, cached references**", others.len());
+    bench.row(&row, others.len(), || {
+        let encoded = EncodedReferences::batch(&encoded.iter().collect::<Vec<_>>());
+        encoded
+            .map(|encoded| estimate_encoded(&model, &config, &batch, &encoded, Uniforms::Shared(0), &device))
     });
-    let each = seconds / others.len().max(1) as f64;
-    println!(
-        "| **instance of {}, cached references** | {:.1} | {:.1} |",
-        others.len(),
-        each * 1e3,
-        each / bench.product
-    );
-    if let Some(mebibytes) = peak_memory() {
-        println!("\npeak memory {mebibytes} MiB");
+    if let (Some(pair), Some(batch)) = (of_pair, peak_memory()) {
+        println!("\npeak memory {pair} MiB before the batch, {batch} MiB with it");
     }
     Ok(())
 }
@@ -134,16 +141,19 @@ fn main() -> anyhow::Result<()> {
 fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
     let device = &bench.device;
     let (points, choose, rgb) = view(config, 1, config.reference_points);
-    bench.row("reference: prepare (host)", || reference_from_points(&points, &choose, rgb.clone(), config));
+    bench
+        .row("reference: prepare (host)", 1, || reference_from_points(&points, &choose, rgb.clone(), config));
     let (query, reference) = pair(config, 0);
     let [q, p] = [&query, &reference.cloud].map(|cloud| CloudTensors::from_clouds(&[cloud], config, device));
-    bench.row("colour features, one image", || model.feature_extraction.forward(q.images.clone(), &q.choose));
-    bench.row("structure embedding, one cloud", || {
+    bench.row("colour features, one image", 1, || {
+        model.feature_extraction.forward(q.images.clone(), &q.choose)
+    });
+    bench.row("structure embedding, one cloud", 1, || {
         model.geo_embedding.forward(q.distances.clone(), q.angles.clone())
     });
     let features = [&q, &p].map(|cloud| model.encode(cloud));
     let coarse = || model.coarse((&q, &features[0]), (&p, &features[1]), Supervision::LastBlock).pop();
-    bench.row("coarse matching", coarse);
+    bench.row("coarse matching", 1, coarse);
     let values = |tensor: Tensor<3>| tensor.try_into_vec_as::<f32>().unwrap_or_default();
     let ones = |count: usize| vec![1.0; count];
     if let Some(block) = coarse() {
@@ -155,16 +165,17 @@ fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
         };
         let (from, to) = (sparse(&query), sparse(&reference.cloud));
         let degenerate = config.quirks.degenerate_triplets;
-        bench.row("hypotheses (host)", || {
+        bench.row("hypotheses (host)", 1, || {
             let mut rng = ChaCha8Rng::seed_from_u64(0);
             coarse_pose(&assignment, &from, &to, &config.hypotheses, || rng.random(), degenerate)
         });
     }
     let Some(stage) = &model.fine_point_matching else { return };
     let groups = positional_groups(&query.points, config);
-    bench.row("ball groups with local frames (host)", || positional_groups(&query.points, config));
-    bench
-        .row("positional encoding, one cloud", || stage.position(&group_tensors(&[&groups], config, device)));
+    bench.row("ball groups with local frames (host)", 1, || positional_groups(&query.points, config));
+    bench.row("positional encoding, one cloud", 1, || {
+        stage.position(&group_tensors(&[&groups], config, device))
+    });
     let position = [&groups, &reference.groups].map(|g| stage.position(&group_tensors(&[g], config, device)));
     let [at_query, at_reference] = position;
     let fine = || {
@@ -176,13 +187,13 @@ fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
             )
             .pop()
     };
-    bench.row("fine matching", fine);
+    bench.row("fine matching", 1, fine);
     let Some(block) = fine() else { return };
     let similarity = values(block.similarity);
     let ones = [ones(query.points.len()), ones(reference.cloud.points.len())];
-    bench.row("assignment (host)", || match_assignment(&similarity, &ones[0], &ones[1]));
+    bench.row("assignment (host)", 1, || match_assignment(&similarity, &ones[0], &ones[1]));
     let assignment = match_assignment(&similarity, &ones[0], &ones[1]);
-    bench.row("weighted Procrustes and score (host)", || {
+    bench.row("weighted Procrustes and score (host)", 1, || {
         fine_pose(&assignment, &query.points, &reference.cloud.points)
     });
 }

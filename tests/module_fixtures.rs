@@ -165,6 +165,7 @@ fn features_are_sampled_as_from_the_upsampled_map() {
     let choose: Vec<u32> = f.file.int("choose").1.iter().map(|&i| i as u32).collect();
     let choice = PixelChoice::new(std::iter::once(choose.as_slice()));
     f.check("gathered", net.sample(map, &choice), 1e-5);
+    f.check("gathered", net.sample_tokens(f.tensor("tokens"), &choice), 1e-5);
 }
 
 #[test]

@@ -27,25 +27,36 @@ fn close<const D: usize>(what: &str, a: Tensor<D>, b: Tensor<D>, tolerance: f32)
 #[test]
 fn tabulated_structure_embedding_equals_the_exact_one() {
     let device = Device::flex();
-    let embedding = |evaluation, device: &Device| {
-        let config = GeoEmbeddingConfig { hidden_dim: 32, evaluation, ..GeoEmbeddingConfig::default() };
-        GeometricStructureEmbedding::new(&config, &mut Initializer::new(5, device))
-    };
-    let distances = random(1, [2, 9, 9], 0.0, 14.0, &device);
-    let angles = random(2, [2, 9, 9, 3], 0.0, 12.0, &device);
-    let exact = embedding(EmbeddingEvaluation::Exact, &device).forward(distances.clone(), angles.clone());
-    let table = embedding(EmbeddingEvaluation::Table, &device).forward(distances.clone(), angles.clone());
-    // step^2 / 8 = 1.9e-6 per channel and table, times |W| summed over 32 channels (about 32 * 0.09).
-    close("inference table", exact, table, 1e-5);
+    // Widths of the small and of the published network.
+    for width in [32, 256] {
+        let embedding = |evaluation, device: &Device| {
+            let config =
+                GeoEmbeddingConfig { hidden_dim: width, evaluation, ..GeoEmbeddingConfig::default() };
+            GeometricStructureEmbedding::new(&config, &mut Initializer::new(5, device))
+        };
+        let distances = random(1, [2, 19, 19], 0.0, 14.0, &device);
+        let angles = random(2, [2, 19, 19, 3], 0.0, 12.0, &device);
+        let [exact, table] = [EmbeddingEvaluation::Exact, EmbeddingEvaluation::Table]
+            .map(|evaluation| embedding(evaluation, &device).forward(distances.clone(), angles.clone()));
+        // step^2 / 8 = 1.9e-6 for the fastest channel, frequency^2 times that for the others, twice; times |W|.
+        close("inference table", exact, table, 1e-5);
 
-    let training = device.autodiff();
-    let gradient = |evaluation| {
-        let module = embedding(evaluation, &training);
-        let gradients = module.forward(distances.clone(), angles.clone()).powi_scalar(2).mean().backward();
-        module.proj_a.weight.val().grad(&gradients).unwrap()
-    };
-    let (exact, table) = (gradient(EmbeddingEvaluation::Exact), gradient(EmbeddingEvaluation::Table));
-    close("gradient of proj_a", exact, table, 1e-5);
+        let training = device.clone().autodiff();
+        let gradients = |evaluation| {
+            let module = embedding(evaluation, &training);
+            let loss = module.forward(distances.clone(), angles.clone()).powi_scalar(2).mean();
+            let gradients = loss.backward();
+            [&module.proj_d, &module.proj_a].map(|map| {
+                let bias = map.bias.as_ref().unwrap().val().grad(&gradients).unwrap();
+                (map.weight.val().grad(&gradients).unwrap(), bias)
+            })
+        };
+        let exact = gradients(EmbeddingEvaluation::Exact);
+        for (exact, table) in exact.into_iter().zip(gradients(EmbeddingEvaluation::Table)) {
+            close("gradient of a weight", exact.0, table.0, 1e-5);
+            close("gradient of a bias", exact.1, table.1, 1e-5);
+        }
+    }
 }
 
 #[test]

@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::{
-    ColorConfig, Config, ConfigError, EmbeddingEvaluation, OverlapMode, PositionResampling, Quirks,
-    VitConfig, error::UnknownName, validate,
+    ColorConfig, Config, ConfigError, OverlapMode, PositionResampling, Quirks, VitConfig, error::UnknownName,
+    validate,
 };
 
 /// Points of the reference cloud before farthest point sampling; the release has it in its data configuration.
@@ -140,7 +140,6 @@ impl OfficialConfig {
         embedding.sigma_a = self.geo_embedding.sigma_a;
         embedding.angle_k = self.geo_embedding.angle_k;
         embedding.hidden_dim = self.geo_embedding.hidden_dim;
-        embedding.evaluation = EmbeddingEvaluation::Exact;
         for (ours, stage) in [(&mut model.coarse, coarse), (&mut model.fine.matching, fine)] {
             ours.blocks = stage.nblock;
             ours.hidden_dim = stage.hidden_dim;

@@ -63,9 +63,12 @@ pub fn match_assignment(similarity: &[f32], overlap_query: &[f32], overlap_refer
     assert_eq!(similarity.len(), rows * columns, "similarity entries for {rows} rows x {columns} columns");
     let blocks = || similarity.par_chunks(BLOCK * columns);
 
-    let row_max: Vec<f32> = similarity.par_chunks(columns).with_min_len(BLOCK).map(maximum).collect();
-    let column_max =
-        merge(blocks().map(|block| by_column(block, columns, f32::NEG_INFINITY, larger)).collect(), larger);
+    let row_max: Vec<f32> =
+        similarity.par_chunks(columns).with_min_len(BLOCK).map(|row| vectorised(|| maximum(row))).collect();
+    let column_max = merge(
+        blocks().map(|block| vectorised(|| by_column(block, columns, f32::NEG_INFINITY, larger))).collect(),
+        larger,
+    );
 
     // exp relative to the row's maximum stays in `weights`; sums per row, partial sums per column.
     let mut weights = vec![0.0f32; similarity.len()];
@@ -139,6 +142,7 @@ pub fn match_assignment(similarity: &[f32], overlap_query: &[f32], overlap_refer
 }
 
 /// Folds each column of a row-major block.
+#[inline(always)]
 fn by_column(block: &[f32], columns: usize, start: f32, fold: impl Fn(f32, f32) -> f32) -> Vec<f32> {
     let mut result = vec![start; columns];
     for row in block.chunks_exact(columns) {

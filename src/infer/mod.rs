@@ -21,6 +21,7 @@ mod target_list;
 mod target_references;
 mod targets;
 mod trace;
+mod uniforms;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
@@ -29,7 +30,7 @@ pub use error::InferError;
 pub use estimate::{Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;
 pub use pairs::{
-    CloudPair, EncodedReferences, PairEstimate, StageTimes, Uniforms, encode_references, estimate_encoded,
+    CloudPair, EncodedReferences, PairEstimate, StageTimes, encode_references, estimate_encoded,
     estimate_pairs, trace_encoded,
 };
 pub use reference::Reference;
@@ -38,6 +39,7 @@ pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_dete
 pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
 pub use trace::{FineTrace, PairTrace, sparse_points};
+pub use uniforms::Uniforms;
 pub use view_files::{View, ViewFiles, query_folder};
 
 pub use crate::registration::{IcpOutcome, IcpReference, Refinement, icp::refine_with, refine};

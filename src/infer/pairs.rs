@@ -3,11 +3,9 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Tensor};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{Evidence, InferError, Matched, PairTrace, host_assignments, trace::sparse_points};
+use super::{Evidence, InferError, Matched, PairTrace, Uniforms, host_assignments, trace::sparse_points};
 use crate::{
     config::{HypothesisScore, ModelConfig},
     data::{CloudInput, PreparedReference, positional_groups},
@@ -91,37 +89,6 @@ impl<'a> CloudPair<'a> {
     }
 }
 
-/// Where the uniform numbers that sample the hypotheses come from.
-#[derive(Clone, Copy, Debug)]
-pub enum Uniforms<'a> {
-    /// A stream per pair from a seed and the pair's position in the list.
-    Seed(u64),
-    /// The same stream for every pair: a pose does not depend on the pairs around it.
-    Shared(u64),
-    /// Given numbers in [0, 1), one list per pair (parity checks).
-    Given(&'a [Vec<f32>]),
-}
-
-impl Uniforms<'_> {
-    fn stream(&self, index: usize) -> impl FnMut() -> f32 {
-        let (seed, stream) = match self {
-            Self::Seed(seed) => (*seed, index as u64),
-            Self::Shared(seed) => (*seed, 0),
-            Self::Given(_) => (0, 0),
-        };
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(stream);
-        let mut given = match self {
-            Self::Seed(_) | Self::Shared(_) => None,
-            Self::Given(lists) => Some(lists.get(index).into_iter().flatten().copied()),
-        };
-        move || match &mut given {
-            None => rng.random(),
-            Some(list) => list.next().unwrap_or(0.0),
-        }
-    }
-}
-
 impl EncodedReferences {
     /// Several as one batch, in order; `None` for none.
     pub fn batch(items: &[&Self]) -> Option<Self> {
@@ -156,12 +123,23 @@ pub fn encode_references(
     device: &Device,
 ) -> EncodedReferences {
     let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
-    let cloud = CloudTensors::from_clouds(&clouds, config, device);
-    let features = model.encode(&cloud);
-    let position = model.fine_point_matching.as_ref().map(|stage| {
-        let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
-        stage.position(&group_tensors(&groups, config, device))
-    });
+    let features = model.encode(&CloudTensors::from_clouds(&clouds, config, device));
+    with_positions(model, config, references, features, device)
+}
+
+/// Adds what the fine stage needs of the references.
+fn with_positions(
+    model: &UnoPose,
+    config: &ModelConfig,
+    references: &[&PreparedReference],
+    features: CloudFeatures,
+    device: &Device,
+) -> EncodedReferences {
+    let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
+    let position = model
+        .fine_point_matching
+        .as_ref()
+        .map(|stage| stage.position(&group_tensors(&groups, config, device)));
     EncodedReferences { features, position }
 }
 
@@ -174,9 +152,16 @@ pub fn estimate_pairs(
     device: &Device,
 ) -> Result<Vec<PairEstimate>, InferError> {
     let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
-    let encoded = encode_references(model, config, &references, device);
     let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
-    Ok(estimate_encoded(model, config, &pairs, &encoded, uniforms, device)?.0)
+    let Some([query, reference]) = cloud_tensors(&pairs, config, device) else { return Ok(Vec::new()) };
+    let start = Instant::now();
+    let [query_features, features] = model.encode_both(&query, &reference);
+    let encoded = with_positions(model, config, &references, features, device);
+    let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
+    let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+    let sampling = Sampling { uniforms, given: None };
+    let (traces, _) = match_encoded(model, config, &pairs, &clouds, sampling, device, times)?;
+    Ok(estimates(&traces, &pairs))
 }
 
 /// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
@@ -189,7 +174,11 @@ pub fn estimate_encoded(
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
     let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
-    Ok((traces.iter().zip(pairs).map(|(trace, pair)| trace.estimate(pair)).collect(), times))
+    Ok((estimates(&traces, pairs), times))
+}
+
+fn estimates(traces: &[PairTrace], pairs: &[CloudPair<'_>]) -> Vec<PairEstimate> {
+    traces.iter().zip(pairs).map(|(trace, pair)| trace.estimate(pair)).collect()
 }
 
 /// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
@@ -203,21 +192,58 @@ pub fn trace_encoded(
     given: Option<&[Pose]>,
     device: &Device,
 ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
-    let mut times = StageTimes::default();
+    let start = Instant::now();
+    let Some([query, reference]) = cloud_tensors(pairs, config, device) else {
+        return Ok((Vec::new(), StageTimes::default()));
+    };
+    let query_features = model.encode(&query);
+    let clouds = EncodedClouds { query, query_features, reference, references };
+    let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+    match_encoded(model, config, pairs, &clouds, Sampling { uniforms, given }, device, times)
+}
+
+/// Queries and references of the pairs; `None` for no pairs.
+fn cloud_tensors(
+    pairs: &[CloudPair<'_>],
+    config: &ModelConfig,
+    device: &Device,
+) -> Option<[CloudTensors; 2]> {
+    let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+    let references: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
+    (!pairs.is_empty())
+        .then(|| [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, config, device)))
+}
+
+/// Both sides of the pairs, encoded.
+struct EncodedClouds<'a> {
+    query: CloudTensors,
+    query_features: CloudFeatures,
+    reference: CloudTensors,
+    references: &'a EncodedReferences,
+}
+
+/// How the fine stage gets its starts: from sampled hypotheses, or `given` ones.
+#[derive(Clone, Copy)]
+struct Sampling<'a> {
+    uniforms: Uniforms<'a>,
+    given: Option<&'a [Pose]>,
+}
+
+/// Matching and pose solving, with their times added to `times`.
+fn match_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    clouds: &EncodedClouds<'_>,
+    Sampling { uniforms, given }: Sampling<'_>,
+    device: &Device,
+    mut times: StageTimes,
+) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+    let EncodedClouds { query, query_features, reference, references } = clouds;
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
-    if pairs.is_empty() {
-        return Ok((Vec::new(), times));
-    }
-    let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
-    let query = CloudTensors::from_clouds(&queries, config, device);
-    let query_features = model.encode(&query);
-    let clouds: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
-    let reference = CloudTensors::from_clouds(&clouds, config, device);
-    times.encode = lap();
-
     let coarse =
-        model.coarse((&query, &query_features), (&reference, &references.features), Supervision::LastBlock);
+        model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
     let coarse = match coarse.last() {
         Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
         None => Vec::new(),
@@ -266,8 +292,8 @@ pub fn trace_encoded(
                 .collect();
             let groups = group_tensors(&groups.iter().collect::<Vec<_>>(), config, device);
             let blocks = model.fine(
-                (&query, &query_features, stage.position(&groups)),
-                (&reference, &references.features, reference_position.clone()),
+                (query, query_features, stage.position(&groups)),
+                (reference, &references.features, reference_position.clone()),
                 Supervision::LastBlock,
             );
             blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?

@@ -71,23 +71,16 @@ impl RgbNet {
             let sampled = conv.forward(images).map(|map| sample_map(map, choose, self.image_size));
             return project.forward(Tensor::cat(sampled.to_vec(), 2));
         }
-        if self.vit.is_some() {
-            return self.sample(self.upscaled_map(images), choose);
+        if let Some(vit) = &self.vit {
+            return self.sample_tokens(vit.forward(images).pyramid, choose);
         }
         let constant = self.constant.as_ref().map(Param::val);
         let constant = constant.unwrap_or_else(|| Tensor::zeros([self.out_dim], &images.device()));
         constant.unsqueeze::<3>().expand([batch, choose.points, self.out_dim])
     }
 
-    /// The transformer's map `[B, out_dim, 4 S / patch, 4 S / patch]`; empty encoders give an empty map.
-    pub fn upscaled_map(&self, images: Tensor<4>) -> Tensor<4> {
-        let (Some(vit), Some(upscaling)) = (&self.vit, &self.output_upscaling) else {
-            return Tensor::zeros([images.dims()[0], self.out_dim, 1, 1], &images.device());
-        };
-        self.unfold(upscaling, vit.forward(images).pyramid)
-    }
-
-    /// [`Self::upscaled_map`] from the transformer's tokens `[B, patches, 4 * embed_dim]`.
+    /// The whole up-sampled map `[B, out_dim, 4 S / patch, 4 S / patch]` of the transformer's tokens
+    /// `[B, patches, 4 * embed_dim]`, for comparison; empty without a transformer.
     pub fn upscaled_tokens(&self, tokens: Tensor<3>) -> Tensor<4> {
         match &self.output_upscaling {
             Some(upscaling) => self.unfold(upscaling, tokens),
@@ -98,6 +91,36 @@ impl RgbNet {
     /// Bilinear samples of a map `[B, C, side, side]` at the chosen pixels: `[B, N, C]`.
     pub fn sample(&self, map: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
         sample_map(map, choose, self.image_size)
+    }
+
+    /// [`Self::sample`] of the up-sampled map of the transformer's tokens `[B, patches, 4 * embed_dim]`. Only the patches
+    /// around the chosen pixels are computed, and none is moved to its place in the map. Zeros without a transformer.
+    pub fn sample_tokens(&self, tokens: Tensor<3>, choose: &PixelChoice) -> Tensor<3> {
+        let [batch, patches, channels] = tokens.dims();
+        let Some(upscaling) = &self.output_upscaling else {
+            return Tensor::zeros([batch, choose.points, self.out_dim], &tokens.device());
+        };
+        let side = patches.isqrt();
+        let cells = UPSCALING * UPSCALING;
+        let (mut rows, weights) = choose.taps(self.image_size, side * UPSCALING, |row, column| {
+            let patch = row / UPSCALING * side + column / UPSCALING;
+            patch * cells + row % UPSCALING * UPSCALING + column % UPSCALING
+        });
+        let mut place = vec![None; batch * patches];
+        let mut used = Vec::new();
+        for row in &mut rows {
+            let patch = *row as usize / cells;
+            let at = *place[patch].get_or_insert_with(|| {
+                used.push(patch as i32);
+                used.len() - 1
+            });
+            *row = (at * cells) as i32 + *row % cells as i32;
+        }
+        let count = used.len();
+        let used = Tensor::<1, Int>::from_data(TensorData::new(used, [count]), &tokens.device().inner());
+        let tokens = tokens.reshape([batch * patches, channels]).select(0, used);
+        let map = upscaling.forward(tokens).reshape([count * cells, self.out_dim]);
+        weighted_rows(map, rows, weights).reshape([batch, choose.points, self.out_dim])
     }
 
     fn unfold(&self, upscaling: &Linear, tokens: Tensor<3>) -> Tensor<4> {
@@ -132,9 +155,25 @@ impl PixelChoice {
         Self { index, batch, points }
     }
 
-    /// Rows of the four neighbours in a flattened `[B * side * side]` map and their weights (half-pixel convention,
-    /// borders clamped), `[B * N * 4]` each.
-    fn taps(&self, image_size: usize, side: usize) -> (Vec<i32>, Vec<f32>) {
+    /// The items of both, one after the other; both have the same number of points.
+    pub fn chain(&self, other: &Self) -> Self {
+        let index = [self.index.as_slice(), &other.index].concat();
+        Self { index, batch: self.batch + other.batch, points: self.points }
+    }
+
+    /// Points per item.
+    pub fn points(&self) -> usize {
+        self.points
+    }
+
+    /// Rows of the four neighbours in a flattened `[B * side * side]` map, whose order within an item is `place(row,
+    /// column)`, and their weights (half-pixel convention, borders clamped), `[B * N * 4]` each.
+    fn taps(
+        &self,
+        image_size: usize,
+        side: usize,
+        place: impl Fn(usize, usize) -> usize,
+    ) -> (Vec<i32>, Vec<f32>) {
         let scale = side as f32 / image_size as f32;
         let axis = |pixel: u32| {
             let x = ((pixel as f32 + 0.5) * scale - 0.5).max(0.0);
@@ -149,7 +188,7 @@ impl PixelChoice {
             let (col0, col1, fx) = axis(pixel % image_size as u32);
             for (row, wy) in [(row0, 1.0 - fy), (row1, fy)] {
                 for (col, wx) in [(col0, 1.0 - fx), (col1, fx)] {
-                    rows.push((base + row * side + col) as i32);
+                    rows.push((base + place(row, col)) as i32);
                     weights.push(wy * wx);
                 }
             }
@@ -161,16 +200,21 @@ impl PixelChoice {
 /// Bilinear samples (align_corners = false) of a square map `[B, C, side, side]` at the chosen pixels: `[B, N, C]`.
 fn sample_map(map: Tensor<4>, choose: &PixelChoice, image_size: usize) -> Tensor<3> {
     let [batch, channels, side, _] = map.dims();
+    let (rows, weights) = choose.taps(image_size, side, |row, column| row * side + column);
+    let map = map.permute([0, 2, 3, 1]).reshape([batch * side * side, channels]);
+    weighted_rows(map, rows, weights).reshape([choose.batch, choose.points, channels])
+}
+
+/// Sums of four weighted rows of `map` `[R, C]` each: `[n, C]` from `4 n` rows and weights.
+fn weighted_rows(map: Tensor<2>, rows: Vec<i32>, weights: Vec<f32>) -> Tensor<2> {
+    let [_, channels] = map.dims();
     let device = map.device().inner();
-    let (rows, weights) = choose.taps(image_size, side);
     let count = rows.len();
     let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
     let weights = Tensor::<3>::from_data(TensorData::new(weights, [count / 4, 4, 1]), &device);
-    map.permute([0, 2, 3, 1])
-        .reshape([batch * side * side, channels])
-        .select(0, rows)
+    map.select(0, rows)
         .reshape([count / 4, 4, channels])
         .mul(weights)
         .sum_dim(1)
-        .reshape([choose.batch, choose.points, channels])
+        .reshape([count / 4, channels])
 }

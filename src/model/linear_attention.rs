@@ -9,7 +9,11 @@ use burn::{
     },
 };
 
-use super::{init::Initializer, transformer::AttentionOutput};
+use super::{
+    fused::{add_layer_norm, focus_cubed},
+    init::Initializer,
+    transformer::{AttentionOutput, LAYER_NORM_EPSILON},
+};
 
 /// Projections and the learned scale of the feature map.
 #[derive(Module, Debug)]
@@ -44,14 +48,14 @@ impl FocusedLinearAttention {
     /// Feature map: `(relu(x) + eps) / softplus(scale)`, raised elementwise to the focusing factor, rescaled to its
     /// old norm over all channels.
     fn focus(&self, x: Tensor<3>) -> Tensor<3> {
-        let x = (relu(x) + EPSILON) / softplus(self.scale.val(), 1.0);
+        let scale = softplus(self.scale.val(), 1.0);
+        if self.focusing_factor == 3.0 {
+            return focus_cubed(x, scale, EPSILON);
+        }
+        let x = (relu(x) + EPSILON) / scale;
         let norm = |x: &Tensor<3>| (x.clone() * x.clone()).sum_dim(2).sqrt(); // [B, N, 1]
         let before = norm(&x);
-        let focused = if self.focusing_factor == 3.0 {
-            x.clone() * x.clone() * x
-        } else {
-            x.powf_scalar(self.focusing_factor)
-        };
+        let focused = x.powf_scalar(self.focusing_factor);
         let ratio = before / norm(&focused);
         focused * ratio
     }
@@ -85,7 +89,7 @@ impl LinearTransformerLayer {
                     focusing_factor: focusing_factor as f64,
                 },
                 linear: init.linear(width, width),
-                norm: init.layer_norm(width, 1e-5),
+                norm: init.layer_norm(width, LAYER_NORM_EPSILON),
             },
             output: AttentionOutput::new(width, init),
         }
@@ -94,7 +98,8 @@ impl LinearTransformerLayer {
     /// `x` `[B, N, C]` attends to `memory` `[B, M, C]`.
     pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>) -> Tensor<3> {
         let attended = self.attention.attention.forward(x.clone(), memory);
-        let x = self.attention.norm.forward(self.attention.linear.forward(attended) + x);
+        let attended = self.attention.linear.forward(attended);
+        let x = add_layer_norm(&self.attention.norm, LAYER_NORM_EPSILON, attended, x);
         self.output.forward(x)
     }
 }

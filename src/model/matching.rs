@@ -26,7 +26,8 @@ pub struct BlockOutput {
 impl BlockOutput {
     /// Cosines of features `[B, N, C]` and `[B, M, C]` over a temperature: `[B, N, M]`.
     pub fn cosine_similarity(query: Tensor<3>, reference: Tensor<3>, temperature: f64) -> Tensor<3> {
-        normalize(query).matmul(normalize(reference).swap_dims(1, 2)) / temperature
+        // The factor on the smaller operand saves a pass over [N, M].
+        (normalize(query) / temperature).matmul(normalize(reference).swap_dims(1, 2))
     }
 
     /// Overlap probabilities of the query and reference points `[B, N]`; 1 without overlap heads.

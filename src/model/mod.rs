@@ -85,6 +85,21 @@ impl UnoPose {
         }
     }
 
+    /// [`Self::encode`] of two batches of clouds. Clouds of equal sizes share the pass over their images: products of
+    /// more rows are faster.
+    pub fn encode_both(&self, a: &CloudTensors, b: &CloudTensors) -> [CloudFeatures; 2] {
+        let (first, second) = (a.points.dims()[0], b.points.dims()[0]);
+        if a.choose.points() != b.choose.points() {
+            return [self.encode(a), self.encode(b)];
+        }
+        let images = Tensor::cat(vec![a.images.clone(), b.images.clone()], 0);
+        let dense = self.feature_extraction.forward(images, &a.choose.chain(&b.choose));
+        [(a, 0, first), (b, first, second)].map(|(cloud, start, count)| CloudFeatures {
+            dense: dense.clone().narrow(0, start, count),
+            embedding: self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone()),
+        })
+    }
+
     /// Coarse stage on encoded clouds.
     pub fn coarse(
         &self,
@@ -118,21 +133,34 @@ impl UnoPose {
 
     /// Training pass: the fine stage starts from the noisy pose that the batch's query neighbourhoods were built with.
     pub fn forward_train(&self, batch: &PairTensors) -> MatchingOutputs {
+        let positions = [&batch.query_groups, &batch.reference_groups].map(|groups| self.position(groups));
+        self.forward_matching(batch, positions)
+    }
+
+    /// Positional encoding `[B, N, C]` of a cloud's neighbourhoods; `None` without a fine stage.
+    ///
+    /// Its batch norm is the only operation that looks at more than one pair of a training batch.
+    pub fn position(&self, groups: &[GroupTensors; 2]) -> Option<Tensor<3>> {
+        self.fine_point_matching.as_ref().map(|stage| stage.position(groups))
+    }
+
+    /// [`Self::forward_train`] from the query's and the reference's positional encodings.
+    pub fn forward_matching(
+        &self,
+        batch: &PairTensors,
+        positions: [Option<Tensor<3>>; 2],
+    ) -> MatchingOutputs {
         let query = self.encode(&batch.query);
         let reference = self.encode(&batch.reference);
         let coarse =
             self.coarse((&batch.query, &query), (&batch.reference, &reference), Supervision::AllBlocks);
-        let fine = match &self.fine_point_matching {
-            None => Vec::new(),
-            Some(stage) => {
-                let query_position = stage.position(&batch.query_groups);
-                let reference_position = stage.position(&batch.reference_groups);
-                self.fine(
-                    (&batch.query, &query, query_position),
-                    (&batch.reference, &reference, reference_position),
-                    Supervision::AllBlocks,
-                )
-            }
+        let fine = match positions {
+            [Some(at_query), Some(at_reference)] => self.fine(
+                (&batch.query, &query, at_query),
+                (&batch.reference, &reference, at_reference),
+                Supervision::AllBlocks,
+            ),
+            _ => Vec::new(),
         };
         MatchingOutputs { coarse, fine }
     }

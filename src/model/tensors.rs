@@ -104,16 +104,27 @@ impl PairTensors {
         let clouds = |pick: fn(&TrainSample) -> &CloudInput| {
             CloudTensors::from_clouds(&samples.iter().map(pick).collect::<Vec<_>>(), config, device)
         };
-        let groups = |pick: fn(&TrainSample) -> &[BallGroups; 2]| {
-            group_tensors(&samples.iter().map(pick).collect::<Vec<_>>(), config, device)
-        };
+        let [query_groups, reference_groups] = Self::groups_of(samples, config, device);
         Self {
             query: clouds(|s| &s.query),
             reference: clouds(|s| &s.reference.cloud),
-            query_groups: groups(|s| &s.query_groups),
-            reference_groups: groups(|s| &s.reference.groups),
+            query_groups,
+            reference_groups,
             pose: PoseTensors::new(samples.iter().map(|s| &s.t_query_reference), device),
         }
+    }
+
+    /// Neighbourhoods of the samples' queries and references.
+    pub fn groups_of(
+        samples: &[TrainSample],
+        config: &ModelConfig,
+        device: &Device,
+    ) -> [[GroupTensors; 2]; 2] {
+        let device = &device.clone().inner();
+        let groups = |pick: fn(&TrainSample) -> &[BallGroups; 2]| {
+            group_tensors(&samples.iter().map(pick).collect::<Vec<_>>(), config, device)
+        };
+        [groups(|s| &s.query_groups), groups(|s| &s.reference.groups)]
     }
 }
 

@@ -6,9 +6,9 @@ use burn::{
     tensor::{Tensor, activation::relu},
 };
 
-use super::{attention::MultiHeadAttention, init::Initializer};
+use super::{attention::MultiHeadAttention, fused::add_layer_norm, init::Initializer};
 
-const LAYER_NORM_EPSILON: f64 = 1e-5;
+pub(super) const LAYER_NORM_EPSILON: f64 = 1e-5;
 
 /// Attention, output projection, residual, norm.
 #[derive(Module, Debug)]
@@ -52,7 +52,7 @@ impl AttentionOutput {
     /// `[B, N, C]` in and out.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let hidden = self.squeeze.forward(relu(self.expand.forward(x.clone())));
-        self.norm.forward(x + hidden)
+        add_layer_norm(&self.norm, LAYER_NORM_EPSILON, hidden, x)
     }
 }
 
@@ -71,7 +71,8 @@ impl TransformerLayer {
     /// `x` `[B, N, C]` attends to `memory` `[B, M, C]`.
     pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, embedding: Option<Tensor<4>>) -> Tensor<3> {
         let attended = self.attention.attention.forward(x.clone(), memory, embedding);
-        let x = self.attention.norm.forward(self.attention.linear.forward(attended) + x);
+        let attended = self.attention.linear.forward(attended);
+        let x = add_layer_norm(&self.attention.norm, LAYER_NORM_EPSILON, attended, x);
         self.output.forward(x)
     }
 }

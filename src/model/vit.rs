@@ -6,10 +6,13 @@ use burn::{
         LayerNorm, Linear,
         conv::{Conv2d, Conv2dConfig},
     },
-    tensor::{Tensor, module::attention, ops::AttentionModuleOptions},
+    tensor::Tensor,
 };
 
-use super::{fused::gelu, init::Initializer};
+use super::{
+    fused::{linear_gelu, linear_onto, self_attention},
+    init::Initializer,
+};
 use crate::config::VitConfig;
 
 const LAYER_NORM_EPSILON: f64 = 1e-6;
@@ -169,24 +172,16 @@ impl VitBlock {
     }
 
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let attended = self.attn.forward(self.norm1.forward(x.clone()));
-        let x = x + attended * self.ls1.gamma.val().unsqueeze();
-        let hidden = gelu(self.mlp.fc1.forward(self.norm2.forward(x.clone())));
-        x + self.mlp.fc2.forward(hidden) * self.ls2.gamma.val().unsqueeze()
+        let attended = self.attn.heads(self.norm1.forward(x.clone()));
+        let x = linear_onto(x, attended, &self.attn.proj, self.ls1.gamma.val());
+        let hidden = linear_gelu(self.norm2.forward(x.clone()), &self.mlp.fc1);
+        linear_onto(x, hidden, &self.mlp.fc2, self.ls2.gamma.val())
     }
 }
 
 impl SelfAttention {
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let [batch, tokens, width] = x.dims();
-        let head_width = width / self.heads;
-        let qkv =
-            self.qkv.forward(x).reshape([batch, tokens, 3, self.heads, head_width]).permute([2, 0, 3, 1, 4]);
-        let mut parts = qkv.chunk(3, 0).into_iter().map(|t| t.squeeze_dim::<4>(0)); // [B, H, T, d]
-        let (Some(q), Some(k), Some(v)) = (parts.next(), parts.next(), parts.next()) else {
-            unreachable!("chunk(3) of an axis of length 3 gives three parts")
-        };
-        let out = attention(q, k, v, None, None, AttentionModuleOptions::default());
-        self.proj.forward(out.swap_dims(1, 2).reshape([batch, tokens, width]))
+    /// What the heads read, before the output projection.
+    fn heads(&self, x: Tensor<3>) -> Tensor<3> {
+        self_attention(self.qkv.forward(x), self.heads)
     }
 }

@@ -66,9 +66,38 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     lanes.iter().sum::<f32>() + rest_a.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
 }
 
+/// [`dot`] of four slices with one, which is read once.
+#[inline(always)]
+pub fn dots(a: [&[f32]; 4], b: &[f32]) -> [f32; 4] {
+    let (runs_b, rest_b) = b.as_chunks::<16>();
+    let split = a.map(|a| a.as_chunks::<16>());
+    let mut lanes = [[0.0f32; 16]; 4];
+    let runs = split[0].0.iter().zip(split[1].0).zip(split[2].0).zip(split[3].0).zip(runs_b);
+    for ((((p, q), r), s), y) in runs {
+        for l in 0..16 {
+            lanes[0][l] += p[l] * y[l];
+            lanes[1][l] += q[l] * y[l];
+            lanes[2][l] += r[l] * y[l];
+            lanes[3][l] += s[l] * y[l];
+        }
+    }
+    std::array::from_fn(|i| {
+        lanes[i].iter().sum::<f32>() + split[i].1.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn four_dot_products_at_once_equal_single_ones() {
+        let rows: Vec<Vec<f32>> =
+            (0..5).map(|r| (0..45).map(|i| ((i * 7 + r * 13) % 11) as f32 - 5.0).collect()).collect();
+        let a = [&rows[0][..], &rows[1], &rows[2], &rows[3]];
+        assert_eq!(dots(a, &rows[4]), a.map(|a| dot(a, &rows[4])));
+        assert_eq!(dot(&[1.0, 2.0, 3.0], &[4.0, -5.0, 6.0]), 12.0);
+    }
 
     #[test]
     fn exp_is_accurate() {

@@ -18,6 +18,7 @@ mod journal;
 mod optimization;
 mod options;
 mod progress;
+mod replicas;
 mod run;
 mod schedule;
 mod state;

@@ -78,7 +78,11 @@ impl<M: Module> Optimization<M> {
     /// Adds the gradients of one pass, weighted so that `accumulation` passes give their mean. `loss` is `[1]`.
     pub fn accumulate(&mut self, loss: Tensor<1>) {
         let loss = if self.accumulation > 1 { loss.div_scalar(self.accumulation as f64) } else { loss };
-        let gradients = GradientsParams::from_grads(loss.backward(), &self.model);
+        self.add(GradientsParams::from_grads(loss.backward(), &self.model));
+    }
+
+    /// Adds gradients (or a part of them) as they are.
+    pub fn add(&mut self, gradients: GradientsParams) {
         self.accumulated.accumulate(&self.model, gradients);
     }
 

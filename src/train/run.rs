@@ -5,8 +5,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use burn::tensor::Tensor;
-
 use super::{
     TrainError, beginning,
     datasets::Datasets,
@@ -15,6 +13,7 @@ use super::{
     optimization::Optimization,
     options::{Ending, TrainOptions, TrainOutcome},
     progress,
+    replicas::{self, Pass, TOTAL},
     schedule::{Schedule, TimeBudget},
     state::{self, Progress},
     validation::Validation,
@@ -23,8 +22,7 @@ use crate::{
     checkpoint::{self, Meta},
     config::Config,
     data::{BatchStream, TrainSample},
-    loss::{Losses, pair_losses},
-    model::{PairTensors, UnoPose},
+    model::UnoPose,
 };
 
 /// Trains, or goes on training, in `options.out`.
@@ -196,15 +194,14 @@ impl<'a> Run<'a> {
         for _ in 0..train.accumulation {
             let samples: Vec<TrainSample> =
                 batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
-            let batch = PairTensors::from_samples(&samples, &self.config.model, &device);
-            let outputs = self.optimization.model().forward_train(&batch);
-            let losses = pair_losses(&self.config.loss, &outputs, &batch);
-            let values = self.read(&losses, &samples)?;
-            for (name, values) in &values {
+            let Pass { losses, gradients } =
+                replicas::pass(self.optimization.model(), self.config, &samples, &device);
+            self.require_finite(&losses, &samples)?;
+            for (name, values) in &losses {
                 let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
                 *record.terms.entry(name.clone()).or_insert(0.0) += mean / train.accumulation as f64;
             }
-            self.optimization.accumulate(losses.total);
+            gradients.into_iter().for_each(|gradients| self.optimization.add(gradients));
             self.progress.next_pair += samples.len() as u64;
         }
         record.loss = record.terms.remove(TOTAL).unwrap_or(f64::NAN);
@@ -214,24 +211,16 @@ impl<'a> Run<'a> {
         Ok(record)
     }
 
-    /// Losses on the host; one that is not finite ends the run with its batch in a file.
-    fn read(&self, losses: &Losses, samples: &[TrainSample]) -> Result<Vec<(String, Vec<f32>)>, TrainError> {
-        let named: Vec<(&str, &Tensor<1>)> = std::iter::once((TOTAL, &losses.total))
-            .chain(losses.terms.iter().map(|(name, value)| (name.as_str(), value)))
-            .collect();
-        let sizes: Vec<usize> = named.iter().map(|(_, value)| value.dims()[0]).collect();
-        let all = Tensor::cat(named.iter().map(|(_, value)| (*value).clone().inner()).collect(), 0);
-        let all = all.into_data().convert::<f32>();
-        let mut flat = all.iter::<f32>();
-        let values: Vec<(String, Vec<f32>)> = named
-            .iter()
-            .zip(&sizes)
-            .map(|((name, _), &size)| ((*name).to_owned(), flat.by_ref().take(size).collect()))
-            .collect();
-        let bad = values.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
-        let Some((term, value)) = bad else { return Ok(values) };
+    /// A loss that is not finite ends the run with its batch in a file.
+    fn require_finite(
+        &self,
+        losses: &[(String, Vec<f32>)],
+        samples: &[TrainSample],
+    ) -> Result<(), TrainError> {
+        let bad = losses.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
+        let Some((term, value)) = bad else { return Ok(()) };
         let step = self.optimization.step() + 1;
-        let batch = failure::save_batch(&self.options.out, step, samples, &values)?;
+        let batch = failure::save_batch(&self.options.out, step, samples, losses)?;
         Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
     }
 
@@ -264,9 +253,6 @@ impl<'a> Run<'a> {
         self.earlier_s + self.begin.elapsed().as_secs_f64()
     }
 }
-
-/// Name of the whole loss among its terms.
-const TOTAL: &str = "total";
 
 /// Threads for data preparation.
 fn workers(configured: usize) -> usize {

@@ -5,7 +5,13 @@
 //! everywhere else. The tests hold the two against each other.
 
 #[cfg(feature = "flex")]
-mod gelu;
+mod embedding;
+#[cfg(feature = "flex")]
+mod focus;
+#[cfg(feature = "flex")]
+mod in_place;
+#[cfg(feature = "flex")]
+mod layer_norm;
 #[cfg(feature = "flex")]
 mod linear_relu;
 #[cfg(feature = "flex")]
@@ -15,11 +21,20 @@ mod pooled;
 #[cfg(feature = "flex")]
 mod relative_scores;
 #[cfg(feature = "flex")]
+mod self_attention;
+#[cfg(feature = "flex")]
 mod tape;
 #[cfg(test)]
 mod tests;
 
-use burn::tensor::{Tensor, activation, module::linear};
+use burn::{
+    nn::{LayerNorm, Linear},
+    tensor::{
+        Int, Tensor, activation,
+        module::{attention, linear},
+        ops::AttentionModuleOptions,
+    },
+};
 
 /// Rows per parallel task; fixed, so that sums over rows do not depend on the number of threads.
 #[cfg(feature = "flex")]
@@ -79,17 +94,52 @@ pub fn row_moments(x: Tensor<2>, weights: Option<Tensor<2>>) -> Tensor<2> {
     Tensor::cat(vec![second, mean], 0)
 }
 
-/// [`activation::gelu`], exact (erf) form.
-pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+/// GELU in its exact (erf) form of a linear map, `[B, N, C]`.
+pub fn linear_gelu(x: Tensor<3>, map: &Linear) -> Tensor<3> {
     #[cfg(feature = "flex")]
-    let x = {
-        let mut x = x;
-        if gelu::gelu(&mut x) {
-            return x;
-        }
-        x
+    if let Some(y) = in_place::linear_gelu(&x, map) {
+        return y;
+    }
+    activation::gelu(map.forward(x))
+}
+
+/// `residual + gamma map(x)` with a scale per channel, `[B, N, C]`.
+pub fn linear_onto(residual: Tensor<3>, x: Tensor<3>, map: &Linear, gamma: Tensor<1>) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = in_place::linear_onto(&residual, &x, map, &gamma) {
+        return y;
+    }
+    residual + map.forward(x) * gamma.unsqueeze()
+}
+
+/// `y = (relu(x) + epsilon) / scale`, then `y^3` with the norm of `y` over the channels: `[B, N, C]`, `scale` `[1, 1, C]`.
+pub fn focus_cubed(x: Tensor<3>, scale: Tensor<3>, epsilon: f64) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = focus::focus_cubed(&x, &scale, epsilon as f32) {
+        return y;
+    }
+    let y = (activation::relu(x) + epsilon) / scale;
+    let norm = |y: &Tensor<3>| (y.clone() * y.clone()).sum_dim(2).sqrt(); // [B, N, 1]
+    let cube = y.clone() * y.clone() * y.clone();
+    let ratio = norm(&y) / norm(&cube);
+    cube * ratio
+}
+
+/// Scaled dot-product attention of tokens among themselves from their projections `[B, T, 3 C]` (query, key, value, the
+/// heads one after the other in each): `[B, T, C]`.
+pub fn self_attention(qkv: Tensor<3>, heads: usize) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = self_attention::self_attention(&qkv, heads) {
+        return y;
+    }
+    let [batch, tokens, width] = qkv.dims();
+    let width = width / 3;
+    let part = |index: usize| {
+        let part = qkv.clone().narrow(2, index * width, width);
+        part.reshape([batch, tokens, heads, width / heads]).swap_dims(1, 2) // [B, H, T, d]
     };
-    activation::gelu(x)
+    let out = attention(part(0), part(1), part(2), None, None, AttentionModuleOptions::default());
+    out.swap_dims(1, 2).reshape([batch, tokens, width])
 }
 
 /// Scores of the relative positions, `sum_c projected[b, h, n, c] embedding[b, n, m, c]`: `[B, H, N, C]` and
@@ -106,4 +156,34 @@ pub fn relative_scores(projected: Tensor<4>, embedding: Tensor<4>) -> Tensor<4> 
         .matmul(projected.permute([0, 2, 3, 1]).reshape([batch * n, width, heads])) // [B N, M, H]
         .reshape([batch, n, m, heads])
         .permute([0, 3, 1, 2])
+}
+
+/// `norm(x + residual)` over the channels, `[B, N, C]`. `epsilon` is the norm's own, which keeps it to itself.
+pub fn add_layer_norm(norm: &LayerNorm, epsilon: f64, x: Tensor<3>, residual: Tensor<3>) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = layer_norm::add_layer_norm(norm, epsilon, &x, &residual) {
+        return y;
+    }
+    let _ = epsilon;
+    norm.forward(x + residual)
+}
+
+/// Sum of the distance row and the largest of the `k` angle rows of each pair, linearly interpolated in tables
+/// `[entries, C]` of the mapped sinusoids. Positions are in table rows, `[n]` and `[n, k]`, without gradients.
+pub fn interpolated_embedding(tables: [Tensor<2>; 2], distances: Tensor<1>, angles: Tensor<2>) -> Tensor<2> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = embedding::interpolated_embedding(&tables, &distances, &angles) {
+        return y;
+    }
+    let rows = |table: &Tensor<2>, positions: Tensor<1>| {
+        let low = positions.clone().floor();
+        let fraction = (positions - low.clone()).unsqueeze_dim::<2>(1);
+        let low: Tensor<1, Int> = low.int();
+        let below = table.clone().select(0, low.clone());
+        below.clone() + (table.clone().select(0, low + 1) - below) * fraction
+    };
+    let [n, k] = angles.dims();
+    let [_, width] = tables[1].dims();
+    let angles = rows(&tables[1], angles.reshape([n * k])).reshape([n, k, width]);
+    rows(&tables[0], distances) + angles.max_dim(1).reshape([n, width])
 }

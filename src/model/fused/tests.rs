@@ -1,6 +1,9 @@
 //! The fused operations against their plain forms: values and gradients.
 
-use burn::tensor::{Device, Distribution, Tensor, activation, module::linear};
+use burn::{
+    module::Module,
+    tensor::{Device, Distribution, Tensor, activation, module::linear},
+};
 
 use super::*;
 
@@ -120,14 +123,17 @@ fn layers_skip_the_padding_that_repeats_the_first_row() {
 }
 
 #[test]
-fn gelu_leaves_a_shared_tensor_alone() {
+fn ends_of_linear_maps_equal_their_plain_forms() {
     let device = Device::default();
-    let x = random([50, 700], &device) * 4.0;
-    let before = x.clone().into_data();
-    close(gelu(x.clone()), activation::gelu(x.clone()), 2e-6, "gelu");
-    let strided = x.clone().transpose();
-    close(gelu(strided.clone()), activation::gelu(strided), 2e-6, "gelu of a transposed tensor");
-    x.into_data().assert_eq(&before, true);
+    let map = burn::nn::LinearConfig::new(30, 50).init(&device);
+    let (x, residual) = (random([2, 400, 30], &device), random([2, 400, 50], &device));
+    let gamma = random([50], &device);
+    let mapped = map.forward(x.clone());
+    close(linear_gelu(x.clone(), &map), activation::gelu(mapped.clone()), 2e-6, "gelu");
+    let expected = residual.clone() + mapped * gamma.clone().unsqueeze();
+    let before = residual.clone().into_data();
+    close(linear_onto(residual.clone(), x, &map, gamma), expected, 1e-6, "scaled residual");
+    residual.into_data().assert_eq(&before, true);
 }
 
 #[test]
@@ -141,4 +147,119 @@ fn relative_scores_equal_the_batched_product() {
         .sum_dim(4)
         .reshape([2, 4, 5, 7]);
     close(relative_scores(projected, embedding), expected, 1e-5, "scores");
+}
+
+/// Value of `f` and the gradients of `sum(f * probe)` with respect to both inputs.
+fn two_gradients<const A: usize, const B: usize, const O: usize>(
+    (a, b): (&Tensor<A>, &Tensor<B>),
+    f: impl Fn(Tensor<A>, Tensor<B>) -> Tensor<O>,
+) -> (Tensor<O>, Tensor<A>, Tensor<B>) {
+    let (a, b) = (a.clone().autodiff().require_grad(), b.clone().autodiff().require_grad());
+    let y = f(a.clone(), b.clone());
+    let probe = (y.clone().inner() * 3.7).cos();
+    let grads = (y.clone() * probe).sum().backward();
+    (y.inner(), a.grad(&grads).unwrap(), b.grad(&grads).unwrap())
+}
+
+#[test]
+fn relative_scores_have_the_gradient_of_the_batched_product() {
+    let device = Device::default();
+    // Four heads at once, and what is left over.
+    for heads in [4, 6] {
+        let (projected, embedding) = (random([2, heads, 5, 40], &device), random([2, 5, 7, 40], &device));
+        let (y, to_projected, to_embedding) = two_gradients((&projected, &embedding), relative_scores);
+        let plain = |projected: Tensor<4>, embedding: Tensor<4>| {
+            let product = projected.unsqueeze_dim::<5>(3) * embedding.unsqueeze_dim::<5>(1);
+            product.sum_dim(4).squeeze_dim::<4>(4)
+        };
+        let expected = two_gradients((&projected, &embedding), plain);
+        close(y, expected.0, 1e-5, "scores");
+        close(to_projected, expected.1, 1e-4, "gradient of the queries");
+        close(to_embedding, expected.2, 1e-4, "gradient of the embedding");
+    }
+}
+
+#[test]
+fn norm_of_a_sum_equals_its_plain_form() {
+    let device = Device::default().autodiff();
+    let mut norm = burn::nn::LayerNormConfig::new(40).with_epsilon(1e-5).init(&device);
+    norm.gamma = norm.gamma.map(|_| random([40], &device).detach().require_grad());
+    norm.beta = norm.beta.map(|beta| beta.map(|_| random([40], &device).detach().require_grad()));
+    let plain_device = device.inner();
+    let (x, residual) = (random([3, 50, 40], &plain_device), random([3, 50, 40], &plain_device));
+    let of = |f: &dyn Fn(Tensor<3>, Tensor<3>) -> Tensor<3>| {
+        let (x, r) = (x.clone().autodiff().require_grad(), residual.clone().autodiff().require_grad());
+        let y = f(x.clone(), r.clone());
+        let probe = (y.clone().inner() * 3.7).cos();
+        let grads = (y.clone() * probe).sum().backward();
+        let (gamma, beta) = (norm.gamma.val(), norm.beta.as_ref().unwrap().val());
+        let parameters = [gamma, beta].map(|p| p.grad(&grads).unwrap());
+        (y.inner(), [x, r].map(|t| t.grad(&grads).unwrap()), parameters)
+    };
+    let (y, inputs, parameters) = of(&|x, r| add_layer_norm(&norm, 1e-5, x, r));
+    let expected = of(&|x, r| norm.forward(x + r));
+    close(y, expected.0.clone(), 1e-5, "value");
+    inputs.into_iter().zip(expected.1).for_each(|(got, plain)| close(got, plain, 1e-4, "inputs"));
+    parameters.into_iter().zip(expected.2).for_each(|(got, plain)| close(got, plain, 1e-3, "parameters"));
+    close(add_layer_norm(&norm.valid(), 1e-5, x, residual), expected.0, 1e-5, "off the tape");
+}
+
+#[test]
+fn interpolation_equals_its_plain_form() {
+    let device = Device::default();
+    let tables = (random([9, 40], &device), random([6, 40], &device));
+    let distances = Tensor::random([150], Distribution::Uniform(0.0, 7.9), &device);
+    let angles: Tensor<2> = Tensor::random([150, 3], Distribution::Uniform(0.0, 4.9), &device);
+    // Linear interpolation as a product with the hat functions of the rows.
+    let hats = |positions: Tensor<1>, entries: usize| {
+        let rows = Tensor::<1, burn::tensor::Int>::arange(0..entries as i64, &device).float();
+        let offset = positions.unsqueeze_dim::<2>(1) - rows.unsqueeze_dim::<2>(0);
+        (offset.abs().neg() + 1.0).clamp_min(0.0)
+    };
+    let plain = |d: Tensor<2>, a: Tensor<2>| {
+        let a = hats(angles.clone().reshape([450]), 6).matmul(a).reshape([150, 3, 40]).max_dim(1);
+        hats(distances.clone(), 9).matmul(d) + a.squeeze_dim::<2>(1)
+    };
+    let fused = |d, a| interpolated_embedding([d, a], distances.clone(), angles.clone());
+    let got = two_gradients((&tables.0, &tables.1), fused);
+    let expected = two_gradients((&tables.0, &tables.1), plain);
+    close(fused(tables.0, tables.1), expected.0.clone(), 1e-5, "off the tape");
+    close(got.0, expected.0, 1e-5, "value");
+    close(got.1, expected.1, 1e-3, "distance table");
+    close(got.2, expected.2, 1e-3, "angle table");
+}
+
+#[test]
+fn focusing_equals_its_plain_form() {
+    let device = Device::default();
+    let (x, scale) = (random([2, 70, 40], &device), random([1, 1, 40], &device).abs() + 0.3);
+    let plain = |x: Tensor<3>, scale: Tensor<3>| {
+        let y = (activation::relu(x) + 1e-6) / scale;
+        let cube = y.clone() * y.clone() * y.clone();
+        let norm = |y: Tensor<3>| (y.clone() * y).sum_dim(2).sqrt();
+        cube.clone() * norm(y) / norm(cube)
+    };
+    let fused = |x, scale| focus_cubed(x, scale, 1e-6);
+    let (got, expected) = (two_gradients((&x, &scale), fused), two_gradients((&x, &scale), plain));
+    close(fused(x, scale), expected.0.clone(), 1e-5, "off the tape");
+    close(got.0, expected.0, 1e-5, "value");
+    close(got.1, expected.1, 1e-4, "gradient of x");
+    close(got.2, expected.2, 2e-3, "gradient of the scale");
+}
+
+#[test]
+fn self_attention_equals_its_plain_form() {
+    let device = Device::default();
+    // Tokens beyond one block of rows and not a multiple of the vectors; heads as wide as a vision transformer's and less.
+    for (tokens, heads, d) in [(101, 3, 64), (7, 2, 16), (50, 2, 5)] {
+        let qkv = random([2, tokens, 3 * heads * d], &device) * 3.0;
+        let part = |index: usize| {
+            let part = qkv.clone().narrow(2, index * heads * d, heads * d);
+            part.reshape([2, tokens, heads, d]).swap_dims(1, 2)
+        };
+        let scores = part(0).matmul(part(1).swap_dims(2, 3)) / (d as f64).sqrt();
+        let read = activation::softmax(scores, 3).matmul(part(2));
+        let expected = read.swap_dims(1, 2).reshape([2, tokens, heads * d]);
+        close(self_attention(qkv, heads), expected, 1e-5, "attention");
+    }
 }
