@@ -124,7 +124,7 @@ fn main() -> anyhow::Result<()> {
     let others: Vec<_> = (0..arguments.instances as u64).map(|seed| pair(&config, seed)).collect();
     let encoded: Vec<_> =
         others.iter().map(|(_, r)| encode_references(&model, &config, &[r], &device)).collect();
-    let batch: Vec<_> = others.iter().map(|(query, reference)| (query, reference)).collect();
+    let batch: Vec<_> = others.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
     let row = format!("**instance of {}, cached references**", others.len());
     bench.row(&row, others.len(), || {
         let encoded = EncodedReferences::batch(&encoded.iter().collect::<Vec<_>>());
