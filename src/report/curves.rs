@@ -27,6 +27,8 @@ pub struct Panel {
 }
 
 const PANEL_SIZE: (u32, u32) = (860, 260);
+/// Width of the plot; the names of the curves are on its right.
+const PLOT_WIDTH: u32 = 700;
 
 /// Writes the panels below each other with a common horizontal axis named `x_label`.
 pub fn write_curves(path: &Path, x_label: &str, panels: &[Panel]) -> Result<(), ReportError> {
@@ -69,7 +71,8 @@ fn draw(area: &Area<'_>, x_label: &str, panel: &Panel) -> Result<(), Box<dyn std
     let (mut x, mut y) = (bounds(points().map(|p| p.0)), bounds(points().map(|p| p.1)));
     y = panel.range.unwrap_or(y);
     (x, y) = (widened(x), widened(y));
-    let mut chart = ChartBuilder::on(area)
+    let (plot, legend) = area.split_horizontally(PLOT_WIDTH);
+    let mut chart = ChartBuilder::on(&plot)
         .caption(&panel.title, ("sans-serif", 16))
         .margin(8)
         .x_label_area_size(34)
@@ -77,18 +80,17 @@ fn draw(area: &Area<'_>, x_label: &str, panel: &Panel) -> Result<(), Box<dyn std
         .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
     chart.configure_mesh().x_desc(x_label).light_line_style(WHITE.mix(0.0)).draw()?;
     for (index, curve) in panel.curves.iter().enumerate() {
-        let color = Palette99::pick(index).mix(if curve.faint { 0.25 } else { 1.0 });
+        let color = Palette99::pick(index).mix(if curve.faint { 0.4 } else { 1.0 });
         let style = color.stroke_width(if curve.faint { 1 } else { 2 });
         let drawn: Vec<(f64, f64)> = curve.points.iter().filter(finite).copied().collect();
         if drawn.len() < 60 && !curve.faint {
             chart.draw_series(drawn.iter().map(|&p| Circle::new(p, 3, color.filled())))?;
         }
-        chart
-            .draw_series(LineSeries::new(drawn, style))?
-            .label(&curve.label)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], style));
+        chart.draw_series(LineSeries::new(drawn, style))?;
+        let y = 36 + 14 * index as i32;
+        legend.draw(&PathElement::new([(0, y), (16, y)], style))?;
+        legend.draw(&Text::new(curve.label.as_str(), (22, y - 6), ("sans-serif", 12)))?;
     }
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
     Ok(())
 }
 
