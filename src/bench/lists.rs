@@ -28,6 +28,8 @@ pub enum Segmentation {
     GroundTruth,
     /// A file of detections.
     File(PathBuf),
+    /// A file of detections made by [`crate::segment`].
+    Own(PathBuf),
 }
 
 /// What a benchmark is run on.
@@ -154,7 +156,7 @@ impl ListRequest {
             list.facts.list = "rendered".into();
         }
         let detections = match &self.segmentation {
-            Segmentation::File(path) => read_detections(path)?,
+            Segmentation::File(path) | Segmentation::Own(path) => read_detections(path)?,
             Segmentation::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
         };
         let Entries { mut facts, entries, place } = list;
@@ -170,6 +172,7 @@ impl Segmentation {
     fn name(&self) -> String {
         match self {
             Self::GroundTruth => "ground-truth".into(),
+            Self::Own(_) => "unoseg".into(),
             Self::File(path) => {
                 path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
             }

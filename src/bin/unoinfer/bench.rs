@@ -2,17 +2,22 @@
 
 use std::{path::PathBuf, sync::Mutex};
 
+use anyhow::Context;
 use clap::{Args, ValueEnum};
 use unopose::{
     bench::{INGREDIENTS, ListRequest, Method, Network, Segmentation, Suite, run_sequence, sequence_table},
     device::DeviceChoice,
     formats::PhoneSequence,
-    infer::Refinement,
+    infer::{PoseEstimator, Refinement},
     protocol::{Protocol, REFERENCE_COUNTS},
     registration::{CLASSICAL_METHODS, classical_method},
+    segment::{EmbeddedProposals, GeometricMatcher},
 };
 
-use super::progress::Progress;
+use super::{
+    progress::Progress,
+    segment::{DatasetFiles, segment_dataset},
+};
 
 /// Name of the network among the methods.
 const NETWORK: &str = "unopose";
@@ -48,8 +53,9 @@ pub struct BenchArguments {
     /// test_ref_targets_PROTOCOL.json, else a list that is built and written to --out]
     #[arg(long, value_name = "JSON")]
     targets: Option<PathBuf>,
-    /// Masks: gt (annotated visible masks), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
-    #[arg(long, value_name = "gt|JSON", default_value = "gt")]
+    /// Masks: gt (annotated visible masks), unoseg (found by the first checkpoint for --targets, as `segment` does; kept in
+    /// OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
     detections: PathBuf,
     /// Methods, separated by commas: aligncenter, fpfh-ransac, fpfh-mac, ppf, unopose; or all
     #[arg(long, value_delimiter = ',', default_value = "all")]
@@ -108,6 +114,7 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
         targets: arguments.targets.clone(),
         segmentation: match arguments.detections.to_str() {
             Some("gt") => Segmentation::GroundTruth,
+            Some("unoseg") => Segmentation::Own(own_masks(arguments)?),
             _ => Segmentation::File(arguments.detections.clone()),
         },
         limit: arguments.limit,
@@ -140,6 +147,28 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
         println!("{}", folder.join("index.html").display());
     }
     Ok(())
+}
+
+/// Detections of the targets by our own segmentation.
+fn own_masks(arguments: &BenchArguments) -> anyhow::Result<PathBuf> {
+    let targets = arguments.targets.clone().context("--detections unoseg needs the list as --targets")?;
+    let estimator = match arguments.checkpoint.first() {
+        Some(path) => PoseEstimator::load(path, arguments.device)?,
+        None => PoseEstimator::load_default(arguments.device)?,
+    }
+    .with_seed(arguments.seed);
+    segment_dataset(
+        &DatasetFiles {
+            dataset: arguments.dataset.clone(),
+            split: arguments.split.clone(),
+            reference_split: arguments.reference_split.clone(),
+            targets,
+            limit: arguments.limit,
+        },
+        &EmbeddedProposals,
+        &GeometricMatcher { estimator: &estimator },
+        &arguments.out.join("segmentation"),
+    )
 }
 
 fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
