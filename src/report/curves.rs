@@ -79,6 +79,7 @@ fn draw(area: &Area<'_>, x_label: &str, panel: &Panel) -> Result<(), Box<dyn std
         .y_label_area_size(56)
         .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
     chart.configure_mesh().x_desc(x_label).light_line_style(WHITE.mix(0.0)).draw()?;
+    let line_height = (200 / panel.curves.len().max(1)).min(14) as i32;
     for (index, curve) in panel.curves.iter().enumerate() {
         let color = Palette99::pick(index).mix(if curve.faint { 0.4 } else { 1.0 });
         let style = color.stroke_width(if curve.faint { 1 } else { 2 });
@@ -87,7 +88,7 @@ fn draw(area: &Area<'_>, x_label: &str, panel: &Panel) -> Result<(), Box<dyn std
             chart.draw_series(drawn.iter().map(|&p| Circle::new(p, 3, color.filled())))?;
         }
         chart.draw_series(LineSeries::new(drawn, style))?;
-        let y = 36 + 14 * index as i32;
+        let y = 36 + line_height * index as i32;
         legend.draw(&PathElement::new([(0, y), (16, y)], style))?;
         legend.draw(&Text::new(curve.label.as_str(), (22, y - 6), ("sans-serif", 12)))?;
     }

@@ -2,12 +2,12 @@
 
 use std::{path::PathBuf, sync::Mutex};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use unopose::{
     bench::{INGREDIENTS, ListRequest, Method, Network, Segmentation, Suite, run_sequence, sequence_table},
     device::DeviceChoice,
-    formats::PhoneSequence,
+    formats::{BopDataset, PhoneSequence},
     infer::{PoseEstimator, Refinement},
     protocol::{Protocol, REFERENCE_COUNTS},
     registration::{CLASSICAL_METHODS, classical_method},
@@ -149,9 +149,14 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Detections of the targets by our own segmentation.
+/// Detections of the targets by our own segmentation, from the references and splits that the poses get.
 fn own_masks(arguments: &BenchArguments) -> anyhow::Result<PathBuf> {
     let targets = arguments.targets.clone().context("--detections unoseg needs the list as --targets")?;
+    if matches!(arguments.protocol, ProtocolName::Rendered) {
+        bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
+    }
+    let dataset = BopDataset::open(&arguments.dataset)?;
+    let reference_split = arguments.reference_split.as_deref().or_else(|| dataset.reference_split_name());
     let estimator = match arguments.checkpoint.first() {
         Some(path) => PoseEstimator::load(path, arguments.device)?,
         None => PoseEstimator::load_default(arguments.device)?,
@@ -161,7 +166,7 @@ fn own_masks(arguments: &BenchArguments) -> anyhow::Result<PathBuf> {
         &DatasetFiles {
             dataset: arguments.dataset.clone(),
             split: arguments.split.clone(),
-            reference_split: arguments.reference_split.clone(),
+            reference_split: reference_split.map(str::to_owned),
             targets,
             limit: arguments.limit,
         },
