@@ -99,7 +99,13 @@ impl MeshFolder {
             MeshSize::Own => {
                 let own = mesh.diameter();
                 if !PLAUSIBLE.contains(&own) {
-                    tracing::info!("{}: {own:.4} m in diameter; brought to {diameter:.3} m", file.display());
+                    tracing::warn!(
+                        "{}: {own} m in diameter, expected {} to {}; brought to {diameter:.3} m (--mesh-scale 0.001 is for \
+                         millimetres)",
+                        file.display(),
+                        PLAUSIBLE.start(),
+                        PLAUSIBLE.end()
+                    );
                     mesh.scale(diameter / own);
                 }
             }
