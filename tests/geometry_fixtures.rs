@@ -6,7 +6,7 @@ use reference_tensors::{ReferenceTensors, max_difference};
 use unopose::{
     config::HypothesisConfig,
     geometry::{
-        CoarsePose, GlobalReferenceFrame, Pose, ball_groups, ball_query, coarse_pose,
+        CoarsePose, GlobalReferenceFrame, LocalFrames, Pose, ball_groups, ball_query, coarse_pose,
         farthest_point_sampling, fine_pose, match_assignment, match_distribution, structure_indices,
         weighted_procrustes,
     },
@@ -83,7 +83,7 @@ fn ball_groups_match() {
             let name = |part: &str| format!("{cloud}.{scale}.{part}");
             let samples = file.int_item(&name("nsample"), 0)[0] as usize;
             let radius = file.item(&name("radius"), 0)[0];
-            let groups = ball_groups(&points, radius, samples, true, true);
+            let groups = ball_groups(&points, radius, samples, Some(LocalFrames::RELEASE));
             let distinct = file.int_item(&name("n_distinct"), 0);
             assert_eq!(groups.counts.iter().map(|&c| c as i64).collect::<Vec<_>>(), distinct);
 

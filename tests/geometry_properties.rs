@@ -78,7 +78,7 @@ proptest! {
 
     #[test]
     fn local_offsets_stay_inside_the_ball(points in cloud(20..60)) {
-        let groups = ball_groups(&points, 0.5, 8, true, false);
+        let groups = ball_groups(&points, 0.5, 8, Some(LocalFrames::default()));
         for (entries, &count) in groups.features.chunks_exact(8 * 6).zip(&groups.counts) {
             prop_assert!((1..=8).contains(&count));
             for (k, entry) in entries.chunks_exact(6).enumerate() {

@@ -41,8 +41,10 @@ fn steps_at_the_papers_sizes() {
     let sparse = time("farthest_point_sampling 2048 -> 196", || farthest_point_sampling(&points, 196));
     let sparse: Vec<[f32; 3]> = sparse.iter().map(|&i| points[i as usize]).collect();
     time("global_reference_frame 5000", || global_reference_frame(&raw, false));
-    time("ball_groups 2048, radius 0.1, 64", || ball_groups(&points, 0.1, 64, true, false));
-    time("ball_groups 2048, radius 0.2, 256", || ball_groups(&points, 0.2, 256, true, false));
+    time("ball_groups 2048, radius 0.1, 64", || ball_groups(&points, 0.1, 64, Some(LocalFrames::default())));
+    time("ball_groups 2048, radius 0.2, 256", || {
+        ball_groups(&points, 0.2, 256, Some(LocalFrames::default()))
+    });
     let frame = global_reference_frame(&sparse, false);
     time("structure_indices 197 x 197 x 3", || structure_indices(&frame, 0.2, 15.0, 3));
     time("nearest_distances 2048 x 2048", || nearest_distances(&points, &points));

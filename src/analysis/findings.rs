@@ -43,6 +43,13 @@ const POSES: [Column; 9] = [
     ("AR refined", |p| percent(mean(p, |r| Some(r.refined_credit)))),
 ];
 
+const LOCAL_FRAMES: [Column; 4] = [
+    ("small ball", |p| number(median(p, |s| Some(s.local_frames[0]?.frame_deg)), 1)),
+    ("its z axis", |p| number(median(p, |s| Some(s.local_frames[0]?.normal_deg)), 1)),
+    ("large ball", |p| number(median(p, |s| Some(s.local_frames[1]?.frame_deg)), 1)),
+    ("its z axis", |p| number(median(p, |s| Some(s.local_frames[1]?.normal_deg)), 1)),
+];
+
 /// Writes `pairs.json` and `findings.md` into a folder and returns the text of the latter.
 pub fn write_findings(records: &[PairRecord], title: &str, folder: &Path) -> Result<String, AnalysisError> {
     let groups = groups(records);
@@ -53,6 +60,8 @@ pub fn write_findings(records: &[PairRecord], title: &str, folder: &Path) -> Res
     table(&mut text, &groups, &POSES);
     text += "\nMatches and overlaps, in percent; distances in radii of the reference:\n\n";
     table(&mut text, &groups, &MATCHING);
+    text += "\nLocal frames of the same places in both views, median angle of the pairs' median angles, degrees:\n\n";
+    table(&mut text, &groups, &LOCAL_FRAMES);
     if records.iter().any(|r| r.stages.refined_truth.is_some()) {
         text += "\nRefinement by the rotation error of its start:\n\n";
         refinement(&mut text, records);

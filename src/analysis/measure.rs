@@ -1,6 +1,9 @@
 //! One pair's stages against its true pose.
 
-use super::record::{PoseError, Predicted, StageMeasures};
+use super::{
+    local_frames::frame_differences,
+    record::{PoseError, Predicted, StageMeasures},
+};
 use crate::{
     data::{metric_pose, normalised_pose},
     eval::EvalObject,
@@ -106,6 +109,12 @@ pub fn measure(
         refined_truth,
         overlap_query,
         overlap_reference,
+        local_frames: frame_differences(
+            &cloud.points,
+            &reference.points,
+            &t_reference_query,
+            estimator.model_config(),
+        ),
     })
 }
 

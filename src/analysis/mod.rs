@@ -8,6 +8,7 @@
 mod calibrate;
 mod error;
 mod findings;
+mod local_frames;
 mod measure;
 mod record;
 mod run;
@@ -15,5 +16,5 @@ mod run;
 pub use calibrate::{calibrate, judged, write_reliability};
 pub use error::AnalysisError;
 pub use findings::write_findings;
-pub use record::{PairRecord, PoseError, Predicted, StageMeasures};
+pub use record::{FrameDifference, PairRecord, PoseError, Predicted, StageMeasures};
 pub use run::analyse;

@@ -47,6 +47,16 @@ pub struct Predicted {
     pub recall: Option<f64>,
 }
 
+/// Median angles between the local frames of the same places in both views, degrees; chance is about 132 for the frame and
+/// 90 for its z axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameDifference {
+    /// Of the rotation between the whole frames.
+    pub frame_deg: f64,
+    /// Between the z axes.
+    pub normal_deg: f64,
+}
+
 /// The stages of one estimate against the truth; distances in radii of the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageMeasures {
@@ -73,4 +83,6 @@ pub struct StageMeasures {
     /// Overlap predicted by the last stage for the query's and the reference's points.
     pub overlap_query: Predicted,
     pub overlap_reference: Predicted,
+    /// Local frames of both balls of the positional encoding.
+    pub local_frames: [Option<FrameDifference>; 2],
 }

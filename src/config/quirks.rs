@@ -29,6 +29,8 @@ pub struct Quirks {
     pub same_image_reference: bool,
     /// BatchNorm of the positional encoding counts padded neighbours.
     pub batchnorm_counts_padding: bool,
+    /// The axes of local frames count padded neighbours: of a sparse neighbourhood they follow one neighbour.
+    pub local_frames_count_padding: bool,
 }
 
 impl Quirks {
@@ -46,6 +48,7 @@ impl Quirks {
             keep_zero_depth: true,
             same_image_reference: true,
             batchnorm_counts_padding: true,
+            local_frames_count_padding: true,
         }
     }
 
@@ -63,6 +66,7 @@ impl Quirks {
             keep_zero_depth: false,
             same_image_reference: false,
             batchnorm_counts_padding: false,
+            local_frames_count_padding: false,
         }
     }
 }

@@ -11,8 +11,8 @@ use crate::{
     config::ModelConfig,
     frame::{Mask, RgbdFrame},
     geometry::{
-        BallGroups, Pose, StructureIndices, ball_groups, farthest_point_sampling, global_reference_frame,
-        radius_about_mean, structure_indices,
+        BallGroups, LocalFrames, Pose, StructureIndices, ball_groups, farthest_point_sampling,
+        global_reference_frame, radius_about_mean, structure_indices,
     },
 };
 
@@ -147,9 +147,8 @@ pub fn query_from_points(
 /// Neighbourhoods of every point (radii) at both scales of the positional encoding.
 pub fn positional_groups(points: &[[f32; 3]], config: &ModelConfig) -> [BallGroups; 2] {
     let fine = &config.fine;
-    std::array::from_fn(|i| {
-        ball_groups(points, fine.pe_radii[i], fine.pe_samples[i], fine.use_lrf, config.quirks.counted_z_sign)
-    })
+    let frames = fine.use_lrf.then(|| LocalFrames::of(&config.quirks));
+    std::array::from_fn(|i| ball_groups(points, fine.pe_radii[i], fine.pe_samples[i], frames))
 }
 
 /// Pose between the cameras (metres) of a pose between the matching frames (radii).

@@ -25,8 +25,8 @@ pub use correlation::correlation_assignment;
 pub use fine_pose::{FinePose, fine_pose};
 pub use mutual_fit::MutualFit;
 pub use neighbors::{
-    BallGroups, BallQuery, SignCount, ball_groups, ball_query, local_sign_counts, nearest_distances,
-    nearest_match,
+    BallGroups, BallQuery, LocalFrames, SignCount, ball_groups, ball_query, local_frames, local_sign_counts,
+    nearest_distances, nearest_match,
 };
 pub use pose::Pose;
 pub use procrustes::weighted_procrustes;

@@ -7,8 +7,34 @@ use super::{
     columns::Columns,
     columns::LANES,
     procrustes::vector,
-    reference_frame::{COUNTED_HEIGHT, local_axes},
+    reference_frame::{COUNTED_HEIGHT, FrameAxes, local_axes},
 };
+use crate::config::Quirks;
+
+/// How the axes of local frames are formed; the release's form has both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LocalFrames {
+    /// The sign of z by counting, see [`GlobalReferenceFrame`](super::GlobalReferenceFrame).
+    pub counted_sign: bool,
+    /// The entries that pad a short list count as often as they stand there: the first neighbour, whichever it is,
+    /// then outweighs the others.
+    pub count_padding: bool,
+}
+
+impl LocalFrames {
+    pub const RELEASE: Self = Self { counted_sign: true, count_padding: true };
+
+    /// The form that a network with these quirks takes.
+    pub fn of(quirks: &Quirks) -> Self {
+        Self { counted_sign: quirks.counted_z_sign, count_padding: quirks.local_frames_count_padding }
+    }
+
+    /// Axes from the offsets of a list of `samples` before its padding.
+    fn axes(self, offsets: &[Vector3<f64>], samples: usize, radius: f32) -> FrameAxes {
+        let padding = if self.count_padding { samples - offsets.len() } else { 0 };
+        local_axes(offsets, padding, radius as f64, self.counted_sign)
+    }
+}
 
 /// Neighbours of every centre in index order, `[centres, samples]`.
 #[derive(Clone, Debug)]
@@ -66,16 +92,15 @@ fn ball_of(columns: &Columns, centre: [f32; 3], squared_radius: f32, row: &mut [
     count
 }
 
-/// Ball queries around every point of a cloud (in object radii) with the offsets and, with `use_lrf`, the local
-/// frame coordinates of the neighbours. Padded entries count in the frames, as in the release.
+/// Ball queries around every point of a cloud (in object radii) with the offsets and, with `frames`, the local
+/// frame coordinates of the neighbours.
 pub fn ball_groups(
     points: &[[f32; 3]],
     radius: f32,
     samples: usize,
-    use_lrf: bool,
-    counted_sign: bool,
+    frames: Option<LocalFrames>,
 ) -> BallGroups {
-    let channels = if use_lrf { 6 } else { 3 };
+    let channels = if frames.is_some() { 6 } else { 3 };
     let columns = Columns::new(points);
     let mut features = vec![0.0f32; points.len() * samples * channels];
     let counts = features
@@ -90,10 +115,10 @@ pub fn ball_groups(
                 for (entry, &i) in group.chunks_exact_mut(channels).zip(&row[..count]) {
                     (0..3).for_each(|axis| entry[axis] = at(i)[axis] - centre[axis]);
                 }
-                if use_lrf {
+                if let Some(frames) = frames {
                     offsets.clear();
                     offsets.extend(row[..count].iter().map(|&i| vector(at(i)) - vector(centre)));
-                    let axes = local_axes(offsets, samples - count, radius as f64, counted_sign);
+                    let axes = frames.axes(offsets, samples, radius);
                     for (entry, d) in group.chunks_exact_mut(channels).zip(offsets.iter()) {
                         let local = axes.coordinates(d) / radius as f64;
                         (0..3).for_each(|axis| entry[3 + axis] = local[axis] as f32);
@@ -108,6 +133,28 @@ pub fn ball_groups(
         )
         .collect();
     BallGroups { samples, features, counts }
+}
+
+/// The local frame of every point, as [`ball_groups`] uses it.
+pub fn local_frames(points: &[[f32; 3]], radius: f32, samples: usize, frames: LocalFrames) -> Vec<FrameAxes> {
+    let columns = Columns::new(points);
+    let axes = |centre: &[f32; 3]| {
+        frames.axes(&ball_offsets(&columns, points, centre, radius, samples), samples, radius)
+    };
+    points.par_iter().with_min_len(32).map(axes).collect()
+}
+
+/// Offsets of a point's neighbours before padding.
+fn ball_offsets(
+    columns: &Columns,
+    points: &[[f32; 3]],
+    centre: &[f32; 3],
+    radius: f32,
+    samples: usize,
+) -> Vec<Vector3<f64>> {
+    let mut row = vec![0u32; samples];
+    let count = ball_of(columns, *centre, radius * radius, &mut row);
+    row[..count].iter().map(|&i| vector(&points[i as usize]) - vector(centre)).collect()
 }
 
 /// Distance of every point of `from` to its nearest point of `to`; infinite when `to` is empty.
@@ -131,7 +178,7 @@ pub fn nearest_match(from: &[[f32; 3]], to: &[[f32; 3]], limit: f32) -> Vec<u32>
 /// The statistic of the release's counted sign for one neighbourhood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignCount {
-    /// Neighbours behind minus those in front of the plane of the local frame (padding counted), before the sign of the
+    /// Neighbours behind minus those in front of the plane of the local frame (with padding, where it counts), before the sign of the
     /// normal is chosen.
     pub count: i64,
     /// Neighbours so near to the counting threshold that rounding decides about them.
@@ -139,22 +186,26 @@ pub struct SignCount {
 }
 
 /// [`SignCount`] of every point's ball; heights within `margin` of the threshold are undecided.
-pub fn local_sign_counts(points: &[[f32; 3]], radius: f32, samples: usize, margin: f64) -> Vec<SignCount> {
+pub fn local_sign_counts(
+    points: &[[f32; 3]],
+    radius: f32,
+    samples: usize,
+    count_padding: bool,
+    margin: f64,
+) -> Vec<SignCount> {
     let columns = Columns::new(points);
     points
         .par_iter()
         .with_min_len(32)
         .map(|centre| {
-            let mut row = vec![0u32; samples];
-            let count = ball_of(&columns, *centre, radius * radius, &mut row);
-            let offsets: Vec<_> =
-                row[..count].iter().map(|&i| vector(&points[i as usize]) - vector(centre)).collect();
-            let axes = local_axes(&offsets, samples - count, radius as f64, true);
+            let offsets = ball_offsets(&columns, points, centre, radius, samples);
+            let padding = if count_padding { samples - offsets.len() } else { 0 };
+            let axes = LocalFrames { counted_sign: true, count_padding }.axes(&offsets, samples, radius);
             let undecided = offsets
                 .iter()
                 .enumerate()
                 .filter(|(_, d)| (axes.z.dot(d).abs() - COUNTED_HEIGHT).abs() < margin)
-                .map(|(i, _)| if i == 0 { 1 + samples - count } else { 1 })
+                .map(|(i, _)| if i == 0 { 1 + padding } else { 1 })
                 .sum::<usize>();
             SignCount { count: axes.sign_count, undecided: undecided as i64 }
         })

@@ -122,6 +122,11 @@ impl PoseEstimator {
         }
     }
 
+    /// The configuration of the network.
+    pub fn model_config(&self) -> &ModelConfig {
+        &self.config
+    }
+
     /// Checksums of the weights and of the configuration: equal for equal networks, wherever they come from.
     pub fn network(&self) -> Result<&str, InferError> {
         if let Some(network) = self.network.get() {

@@ -198,8 +198,10 @@ fn fine(
         for scale in 0..2 {
             let name = format!("pe_sign_count{}_{}", scale + 1, side.letter);
             let (radius, samples) = (config.fine.pe_radii[scale], config.fine.pe_samples[scale]);
-            let counts =
-                clouds.iter().flat_map(|points| local_sign_counts(points, radius, samples, HEIGHT_MARGIN));
+            let padding = config.quirks.local_frames_count_padding;
+            let counts = clouds
+                .iter()
+                .flat_map(|points| local_sign_counts(points, radius, samples, padding, HEIGHT_MARGIN));
             let expected = stored.tensors.get(&name).map_or(&[][..], |t| &t.values);
             let counts: Vec<f64> = counts
                 .enumerate()

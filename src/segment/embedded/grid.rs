@@ -68,6 +68,16 @@ impl Grid {
         self.points[cell][2] > 0.0
     }
 
+    /// Gives every cell the point and normal of its source.
+    pub fn follow(&mut self, sources: &[u32]) {
+        for (cell, &source) in sources.iter().enumerate() {
+            if source as usize != cell {
+                self.points[cell] = self.points[source as usize];
+                self.normals[cell] = self.normals[source as usize];
+            }
+        }
+    }
+
     /// Cell of a pixel.
     pub fn cell_of(&self, col: u32, row: u32) -> usize {
         let at = |pixel: u32, pixels: u32, cells: usize| {

@@ -42,8 +42,8 @@ impl ProposalGenerator for EmbeddedProposals {
 }
 
 fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
-    let grid = Grid::new(frame, SIDE);
-    let background = background(&grid);
+    let mut grid = Grid::new(frame, SIDE);
+    let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
     let flat = patches::patches(&grid, &background);
     let mut proposals = candidates(&grid, &solid, &hierarchy::STRATEGIES, 1.0);
@@ -71,11 +71,15 @@ fn candidates(grid: &Grid, cells: &[bool], strategies: &[Strategy], weight: f32)
         .collect()
 }
 
-/// Everything on a background plane; nothing in an image without depth.
-fn background(grid: &Grid) -> Vec<bool> {
+/// Everything on a background plane; nothing in an image without depth. Cells without a measurement get that of the cell
+/// that they follow.
+fn fill_and_background(grid: &mut Grid) -> Vec<bool> {
     let (_, on_plane) = planes::background_planes(grid);
     match flood::sources(grid) {
-        Some(sources) => sources.iter().map(|&source| on_plane[source as usize]).collect(),
+        Some(sources) => {
+            grid.follow(&sources);
+            sources.iter().map(|&source| on_plane[source as usize]).collect()
+        }
         None => vec![false; grid.len()],
     }
 }
@@ -92,4 +96,43 @@ fn full_mask(grid: &Grid, labels: &[u32], chosen: impl Fn(usize) -> bool) -> Mas
         data.extend(columns.iter().map(|&col| line[col]));
     }
     Mask { width, height, data }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{frame::DepthMap, geometry::Intrinsics};
+
+    /// Two fronts of the same colour at different distances, with nothing measured along their common edge.
+    #[test]
+    fn depth_steps_separate_across_unmeasured_bands() {
+        let (width, height) = (320, 240);
+        let mut rgb = image::RgbImage::from_pixel(width, height, image::Rgb([120; 3]));
+        let mut depth = DepthMap::zeros(width, height);
+        let mut masks = [Mask::empty(width, height), Mask::empty(width, height)];
+        for (pixel, z) in depth.data.iter_mut().enumerate() {
+            let (col, row) = (pixel as u32 % width, pixel as u32 / width);
+            let front = (80..160).contains(&row) && (80..220).contains(&col);
+            *z = if !front {
+                1.0
+            } else if col < 140 {
+                0.8
+            } else {
+                0.7
+            };
+            if front {
+                rgb.put_pixel(col, row, image::Rgb([200, 60, 60]));
+                masks[usize::from(col >= 140)].data[pixel] = true;
+                if (136..144).contains(&col) {
+                    *z = 0.0;
+                }
+            }
+        }
+        let intrinsics = Intrinsics { fx: 300.0, fy: 300.0, cx: 159.5, cy: 119.5 };
+        let proposals = propose(&RgbdFrame { rgb, depth, intrinsics });
+        for mask in masks {
+            let best = proposals.iter().map(|p| p.mask.iou(&mask)).fold(0.0, f64::max);
+            assert!(best > 0.9, "{best}");
+        }
+    }
 }
