@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use unopose::{
-    eval::score_segmentation,
+    eval::{SegmentationScores, score_segmentation},
     formats::{
         BopDataset, FormatError,
         camera::read_camera,
@@ -15,19 +15,16 @@ use unopose::{
     },
     frame::{BoundingBox, DepthMap, Mask, RgbdFrame},
     geometry::Intrinsics,
-    infer::{PoseEstimator, ViewFiles},
+    infer::ViewFiles,
     registration::MaskedView,
     report::overlay,
     segment::{
-        Assigned, EmbeddedProposals, GeometricMatcher, ListedProposals, Matcher, Prompt, Proposal,
-        ProposalGenerator, SegmentError, UnoSeg, prompted, segment_targets,
+        AnyMatcher, EmbeddedProposals, ListedProposals, Matcher, ObjectViews, Prompt, Proposal,
+        ProposalGenerator, SegmentError, Segmentation, Templates, UnoSeg, prompted, segment_targets,
     },
 };
 
 use super::{options::EstimatorOptions, progress::Progress};
-
-/// Detections scored above this are instances; the best of the others when none of these is.
-const MIN_DETECTION_SCORE: f64 = 0.25;
 
 #[derive(Args)]
 pub struct SegmentArguments {
@@ -73,6 +70,13 @@ pub struct SegmentArguments {
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
+    /// DINOv2 weights by which proposals are compared with the reference: ViT-S, B or L with or without registers,
+    /// safetensors or PyTorch [default: the pose network's checkpoint compares]
+    #[arg(long, value_name = "FILE")]
+    descriptor: Option<PathBuf>,
+    /// With --dataset and --descriptor: N templates of each object's CAD model instead of its reference view (12, 42 or 162)
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "42", requires_all = ["dataset", "descriptor"])]
+    templates: Option<usize>,
     /// Proposals: embedded (from depth and colour), or a list of masks of another segmenter in the COCO/BOP form
     #[arg(long, value_name = "SOURCE", default_value = "embedded")]
     proposals: String,
@@ -92,9 +96,10 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
             reference_split: arguments.reference_split.clone(),
             targets: targets.clone(),
             limit: arguments.limit,
+            templates: arguments.templates,
         };
         let estimator = arguments.estimator.estimator()?;
-        let matcher = GeometricMatcher { estimator: &estimator };
+        let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
         return segment_dataset(&files, generator.as_ref(), &matcher, &arguments.out).map(drop);
     }
     let frame = frame(arguments)?;
@@ -103,11 +108,11 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         let view = reference.read()?;
         let mask = view.masks.first().context("no reference mask")?;
         let estimator = arguments.estimator.estimator()?;
-        let matcher = GeometricMatcher { estimator: &estimator };
+        let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
         let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
         let object = matcher.object(&[MaskedView { frame: &view.frame, mask }])?;
         let found = unoseg.segment(&frame, None, &[&object])?;
-        let instances = instances(&found.proposals, &found.found);
+        let instances = instances(&matcher, &found);
         if instances.is_empty() {
             return Err(not_found(&path, found.proposals.len()));
         }
@@ -187,10 +192,10 @@ fn prompt(arguments: &SegmentArguments) -> anyhow::Result<Option<Prompt>> {
 }
 
 /// Confident detections, or the best one.
-fn instances<'a>(proposals: &'a [Proposal], found: &[Assigned]) -> Vec<(&'a Proposal, f64)> {
-    let confident = found.iter().take_while(|a| a.score > MIN_DETECTION_SCORE).count();
-    let best = found.iter().take(confident.max(1));
-    best.filter_map(|a| Some((proposals.get(a.proposal)?, a.score))).collect()
+fn instances<'a, M: Matcher>(matcher: &M, found: &'a Segmentation) -> Vec<(&'a Proposal, f64)> {
+    let confident = found.found.iter().take_while(|a| a.score > matcher.instance_score()).count();
+    let best = found.found.iter().take(confident.max(1));
+    best.filter_map(|a| Some((found.proposals.get(a.proposal)?, a.score))).collect()
 }
 
 fn not_found(image: &Path, proposals: usize) -> anyhow::Error {
@@ -214,7 +219,7 @@ fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64
 
 /// The masks of the reference's object in a query view, written to `OUT/mask_N.png`.
 pub fn find_masks(
-    estimator: &PoseEstimator,
+    matcher: &impl Matcher,
     reference: MaskedView,
     files: &ViewFiles,
     out: &Path,
@@ -224,11 +229,10 @@ pub fn find_masks(
         let expected = "at least one measured pixel";
         return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
     }
-    let matcher = GeometricMatcher { estimator };
     let object = matcher.object(&[reference])?;
-    let unoseg = UnoSeg { generator: &EmbeddedProposals, matcher: &matcher };
+    let unoseg = UnoSeg { generator: &EmbeddedProposals, matcher };
     let found = unoseg.segment(&view.frame, None, &[&object])?;
-    let instances = instances(&found.proposals, &found.found);
+    let instances = instances(matcher, &found);
     if instances.is_empty() {
         return Err(not_found(&files.rgb, found.proposals.len()));
     }
@@ -249,31 +253,38 @@ pub struct DatasetFiles {
     pub reference_split: Option<String>,
     pub targets: PathBuf,
     pub limit: Option<usize>,
+    /// Templates of each object's model instead of its reference view.
+    pub templates: Option<usize>,
 }
 
-/// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first.
+/// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first's path
+/// and the last's content.
 pub fn segment_dataset<M: Matcher>(
     files: &DatasetFiles,
     generator: &dyn ProposalGenerator,
     matcher: &M,
     out: &Path,
-) -> anyhow::Result<PathBuf> {
+) -> anyhow::Result<(PathBuf, SegmentationScores)> {
     let dataset = BopDataset::open(&files.dataset)?;
     let split = match &files.split {
         Some(name) => dataset.split(name)?,
         None => dataset.test_split()?,
     };
     let other = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
-    let references = other.as_ref().unwrap_or(&split);
+    let templates = files.templates.map(|count| Templates::new(&dataset, count)).transpose()?;
+    let views = match &templates {
+        Some(templates) => ObjectViews::Templates(templates),
+        None => ObjectViews::References(other.as_ref().unwrap_or(&split)),
+    };
     let mut targets = read_reference_targets(&files.targets)?;
     targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
     let unoseg = UnoSeg { generator, matcher };
     let progress = Progress::new("segmenting");
     let show = &mut |done, total| progress.set(done, total);
-    let found = segment_targets(&unoseg, &targets, &split, references, &out.join("images"), show)?;
+    let found = segment_targets(&unoseg, &targets, &split, &views, &out.join("images"), show)?;
     progress.finish();
-    for ((scene, image, object), reason) in &found.unusable {
-        eprintln!("reference scene {scene} image {image} object {object}: {reason}");
+    for (object, reason) in &found.unusable {
+        eprintln!("{object}: {reason}");
     }
     let path = out.join("detections.json");
     write_detections(&path, &found.detections)?;
@@ -298,5 +309,5 @@ pub fn segment_dataset<M: Matcher>(
         scores.mean_proposal_time_per_image_s
     );
     println!("{}", path.display());
-    Ok(path)
+    Ok((path, scores))
 }
