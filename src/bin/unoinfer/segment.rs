@@ -139,7 +139,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     }
 }
 
-fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
+pub fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
     Ok(match source {
         "embedded" => Box::new(EmbeddedProposals),
         path => Box::new(ListedProposals::read(Path::new(path))?),
