@@ -77,3 +77,13 @@ fn main() -> std::process::ExitCode {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn arguments_refer_to_each_other_by_their_names() {
+        super::Arguments::command().debug_assert();
+    }
+}
