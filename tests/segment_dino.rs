@@ -133,7 +133,7 @@ fn scores_are_those_of_a_plain_computation() {
         let matcher = DinoMatcher::load(&path, DeviceChoice::Flex).unwrap();
         // Enlarged, and reduced: 300 pixels to 224.
         let (query, reference) = (frame(40, 34, 1), frame(300, 60, 2));
-        let views = vec![
+        let views = [
             mask(&reference, |c, r| (c as i32 - 150).pow(2) + (r as i32 - 30).pow(2) < 700),
             mask(&reference, |c, _| c < 40),
             mask(&reference, |_, r| r < 20),

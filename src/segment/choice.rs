@@ -13,7 +13,7 @@ pub enum AnyMatcher<'a> {
 
 /// An object as one of them keeps it.
 pub enum AnyObject {
-    Geometric(GeometricObject),
+    Geometric(Box<GeometricObject>),
     Dino(DinoObject),
 }
 
@@ -53,7 +53,7 @@ impl Matcher for AnyMatcher<'_> {
 
     fn object(&self, views: &[MaskedView]) -> Result<AnyObject, SegmentError> {
         Ok(match self {
-            Self::Geometric(matcher) => AnyObject::Geometric(matcher.object(views)?),
+            Self::Geometric(matcher) => AnyObject::Geometric(Box::new(matcher.object(views)?)),
             Self::Dino(matcher) => AnyObject::Dino(matcher.object(views)?),
         })
     }
