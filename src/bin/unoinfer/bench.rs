@@ -220,12 +220,12 @@ fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
     }
     .with_seed(arguments.seed);
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
-    let found = |source: &Box<dyn ProposalGenerator>| {
+    let found = |source: &dyn ProposalGenerator| {
         let out = arguments.out.join("segmentation").join(source.name());
-        let (detections, scores) = segment_dataset(&files, source.as_ref(), &matcher, &out)?;
+        let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
         Ok(OwnMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
     };
-    sources.iter().map(found).collect()
+    sources.iter().map(|source| found(source.as_ref())).collect()
 }
 
 fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
