@@ -23,7 +23,8 @@ use unopose::{
 
 use super::{
     progress::Progress,
-    segment::{DatasetFiles, generator, segment_dataset},
+    segment::generator,
+    segment_dataset::{DatasetFiles, segment_dataset},
 };
 
 /// Name of the network among the methods.

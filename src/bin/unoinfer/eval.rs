@@ -13,7 +13,7 @@ use super::{
     options::EstimatorOptions,
     progress::Progress,
     score,
-    segment::{DatasetFiles, segment_dataset},
+    segment_dataset::{DatasetFiles, segment_dataset},
 };
 
 /// Sources of masks.
@@ -38,7 +38,7 @@ pub struct EvalArguments {
     #[arg(long, conflicts_with = "detections")]
     segmentation: Option<Segmentation>,
     /// DINOv2 weights by which --segmentation compares proposals with the reference [default: the checkpoint compares]
-    #[arg(long, value_name = "FILE", requires = "segmentation")]
+    #[arg(long, value_name = "FILE", conflicts_with = "detections")]
     descriptor: Option<PathBuf>,
     /// Folder for the result table, scores.json, errors.json and rejected.json
     #[arg(long, value_name = "DIR", default_value = "eval")]

@@ -10,6 +10,7 @@ mod options;
 mod progress;
 mod score;
 mod segment;
+mod segment_dataset;
 mod verify;
 
 use clap::{Parser, Subcommand};

@@ -5,13 +5,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use unopose::{
-    eval::{SegmentationScores, score_segmentation},
     formats::{
-        BopDataset, FormatError,
+        FormatError,
         camera::read_camera,
         detections::write_detections,
         image_io::{read_depth, read_rgb, write_mask},
-        targets::{read_reference_targets, read_targets},
     },
     frame::{BoundingBox, DepthMap, Mask, RgbdFrame},
     geometry::Intrinsics,
@@ -19,12 +17,15 @@ use unopose::{
     registration::MaskedView,
     report::overlay,
     segment::{
-        AnyMatcher, EmbeddedProposals, ListedProposals, Matcher, ObjectViews, Prompt, Proposal,
-        ProposalGenerator, SegmentError, Segmentation, Templates, UnoSeg, prompted, segment_targets,
+        AnyMatcher, EmbeddedProposals, ListedProposals, Matcher, Prompt, Proposal, ProposalGenerator,
+        SegmentError, Segmentation, UnoSeg, prompted,
     },
 };
 
-use super::{options::EstimatorOptions, progress::Progress};
+use super::{
+    options::EstimatorOptions,
+    segment_dataset::{DatasetFiles, segment_dataset},
+};
 
 #[derive(Args)]
 pub struct SegmentArguments {
@@ -75,7 +76,7 @@ pub struct SegmentArguments {
     #[arg(long, value_name = "FILE")]
     descriptor: Option<PathBuf>,
     /// With --dataset and --descriptor: N templates of each object's CAD model instead of its reference view (12, 42 or 162)
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "42", requires_all = ["dataset", "descriptor"])]
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "42", requires = "descriptor", conflicts_with = "rgb")]
     templates: Option<usize>,
     /// Proposals: embedded (from depth and colour), or a list of masks of another segmenter in the COCO/BOP form
     #[arg(long, value_name = "SOURCE", default_value = "embedded")]
@@ -244,70 +245,4 @@ pub fn find_masks(
         masks.push(path);
     }
     Ok(ViewFiles { masks, ..files.clone() })
-}
-
-/// Files of [`segment_dataset`].
-pub struct DatasetFiles {
-    pub dataset: PathBuf,
-    pub split: Option<String>,
-    pub reference_split: Option<String>,
-    pub targets: PathBuf,
-    pub limit: Option<usize>,
-    /// Templates of each object's model instead of its reference view.
-    pub templates: Option<usize>,
-}
-
-/// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first's path
-/// and the last's content.
-pub fn segment_dataset<M: Matcher>(
-    files: &DatasetFiles,
-    generator: &dyn ProposalGenerator,
-    matcher: &M,
-    out: &Path,
-) -> anyhow::Result<(PathBuf, SegmentationScores)> {
-    let dataset = BopDataset::open(&files.dataset)?;
-    let split = match &files.split {
-        Some(name) => dataset.split(name)?,
-        None => dataset.test_split()?,
-    };
-    let other = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
-    let templates = files.templates.map(|count| Templates::new(&dataset, count)).transpose()?;
-    let views = match &templates {
-        Some(templates) => ObjectViews::Templates(templates),
-        None => ObjectViews::References(other.as_ref().unwrap_or(&split)),
-    };
-    let mut targets = read_reference_targets(&files.targets)?;
-    targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
-    let unoseg = UnoSeg { generator, matcher };
-    let progress = Progress::new("segmenting");
-    let show = &mut |done, total| progress.set(done, total);
-    let found = segment_targets(&unoseg, &targets, &split, &views, &out.join("images"), show)?;
-    progress.finish();
-    for (object, reason) in &found.unusable {
-        eprintln!("{object}: {reason}");
-    }
-    let path = out.join("detections.json");
-    write_detections(&path, &found.detections)?;
-    write_detections(&out.join("proposals.json"), &found.proposals)?;
-    let mut all = read_targets(&files.targets)?;
-    all.retain(|t| {
-        targets.iter().any(|r| (r.scene_id, r.im_id, r.obj_id) == (t.scene_id, t.im_id, t.obj_id))
-    });
-    let seconds = [found.seconds.as_slice(), &found.proposal_seconds];
-    let scores = score_segmentation(&split, &all, &found.detections, &found.proposals, seconds)?;
-    scores.write(&out.join("scores.json"))?;
-    println!(
-        "segmentation: mAP {:.3}, AP50 {:.3}; proposals: recall {:.3} at 0.5, {:.3} at 0.75 of {} targets, {:.1} per image; \
-         {:.3} s per image, {:.3} s of it proposals",
-        scores.map,
-        scores.detections.ap50,
-        scores.recall50,
-        scores.recall75,
-        scores.n_targets,
-        scores.proposals_per_image,
-        scores.mean_time_per_image_s,
-        scores.mean_proposal_time_per_image_s
-    );
-    println!("{}", path.display());
-    Ok((path, scores))
 }
