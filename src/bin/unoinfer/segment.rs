@@ -119,6 +119,9 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         }
         return write(&arguments.out, &frame, &instances, found.seconds);
     }
+    if arguments.descriptor.is_some() {
+        bail!("--descriptor compares with a reference: expected --reference-rgb or --dataset");
+    }
     let start = std::time::Instant::now();
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();

@@ -95,7 +95,7 @@ impl Matcher for DinoMatcher {
         format!("dinov2 1 {BEST_VIEWS} {:08x}", self.checksum)
     }
 
-    /// CNOS's. Not checked with published weights.
+    /// Half of what a view scores against itself; not checked with published weights.
     fn instance_score(&self) -> f64 {
         0.5
     }
