@@ -1,17 +1,13 @@
 //! DINOv2 backbones in the namings of their three distributors, on small random transformers.
 
+mod backbone_files;
 mod pytorch_file;
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
+use backbone_files::{Sizes, Tensors, hugging_face, meta, safetensors, timm};
 use burn::tensor::{Device, Tensor, TensorData};
 use pytorch_file::Pickled;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use safetensors::{Dtype, tensor::TensorView};
 use unopose::{
     checkpoint::{Backbone, Naming, Resampling, load_backbone},
     config::{ColorConfig, Config, ModelConfig, VitConfig},
@@ -24,98 +20,9 @@ const PATCH: usize = 4;
 /// Patches per side at the resolution of the files.
 const SIDE: usize = 5;
 
-type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
-
 /// Random parameters under Meta's names, the mask token apart.
 fn weights(registers: usize) -> Tensors {
-    let mut rng = ChaCha8Rng::seed_from_u64(9);
-    let mut tensors = Tensors::new();
-    let mut add = |name: String, shape: &[usize]| {
-        let values = (0..shape.iter().product()).map(|_| rng.random_range(-0.5..0.5f32)).collect();
-        tensors.insert(name, (shape.to_vec(), values));
-    };
-    add("cls_token".into(), &[1, 1, WIDTH]);
-    add("pos_embed".into(), &[1, 1 + SIDE * SIDE, WIDTH]);
-    if registers > 0 {
-        add("register_tokens".into(), &[1, registers, WIDTH]);
-    }
-    add("patch_embed.proj.weight".into(), &[WIDTH, 3, PATCH, PATCH]);
-    add("patch_embed.proj.bias".into(), &[WIDTH]);
-    let mut linear = |name: &str, out: usize, input: usize| {
-        add(format!("{name}.weight"), &[out, input]);
-        add(format!("{name}.bias"), &[out]);
-    };
-    for i in 0..DEPTH {
-        linear(&format!("blocks.{i}.attn.qkv"), 3 * WIDTH, WIDTH);
-        linear(&format!("blocks.{i}.attn.proj"), WIDTH, WIDTH);
-        linear(&format!("blocks.{i}.mlp.fc1"), 4 * WIDTH, WIDTH);
-        linear(&format!("blocks.{i}.mlp.fc2"), WIDTH, 4 * WIDTH);
-    }
-    for norm in (0..DEPTH).flat_map(|i| ["norm1", "norm2"].map(|n| format!("blocks.{i}.{n}"))) {
-        add(format!("{norm}.weight"), &[WIDTH]);
-        add(format!("{norm}.bias"), &[WIDTH]);
-    }
-    add("norm.weight".into(), &[WIDTH]);
-    add("norm.bias".into(), &[WIDTH]);
-    for i in 0..DEPTH {
-        ["ls1", "ls2"].iter().for_each(|ls| add(format!("blocks.{i}.{ls}.gamma"), &[WIDTH]));
-    }
-    tensors
-}
-
-/// timm's form: with registers, the class token has its position added and the embedding lacks it.
-fn timm(mut tensors: Tensors) -> Tensors {
-    let Some(registers) = tensors.remove("register_tokens") else { return tensors };
-    tensors.insert("reg_token".into(), registers);
-    let (shape, position) = tensors.remove("pos_embed").unwrap();
-    let class = &mut tensors.get_mut("cls_token").unwrap().1;
-    class.iter_mut().zip(&position).for_each(|(c, p)| *c += p);
-    tensors.insert("pos_embed".into(), (vec![1, shape[1] - 1, WIDTH], position[WIDTH..].to_vec()));
-    tensors
-}
-
-fn meta(mut tensors: Tensors) -> Tensors {
-    tensors.insert("mask_token".into(), (vec![1, WIDTH], vec![0.0; WIDTH]));
-    tensors
-}
-
-fn hugging_face(tensors: Tensors) -> Tensors {
-    let renames = [
-        ("cls_token", "embeddings.cls_token"),
-        ("register_tokens", "embeddings.register_tokens"),
-        ("pos_embed", "embeddings.position_embeddings"),
-        ("patch_embed.proj", "embeddings.patch_embeddings.projection"),
-        ("blocks.", "encoder.layer."),
-        (".attn.proj.", ".attention.output.dense."),
-        ("ls1.gamma", "layer_scale1.lambda1"),
-        ("ls2.gamma", "layer_scale2.lambda1"),
-    ];
-    let mut renamed = Tensors::new();
-    for (name, (shape, values)) in tensors {
-        let new = renames.iter().fold(name, |name, (from, to)| name.replace(from, to));
-        let new = if let Some(kind) = new.strip_prefix("norm.") { format!("layernorm.{kind}") } else { new };
-        match new.split_once("attn.qkv.") {
-            None => drop(renamed.insert(new, (shape, values))),
-            Some((layer, kind)) => {
-                let third = values.len() / 3;
-                for (part, values) in ["query", "key", "value"].iter().zip(values.chunks(third)) {
-                    let shape = [&[shape[0] / 3], &shape[1..]].concat();
-                    let name = format!("{layer}attention.attention.{part}.{kind}");
-                    renamed.insert(name, (shape, values.to_vec()));
-                }
-            }
-        }
-    }
-    meta(renamed).into_iter().map(|(n, t)| (n.replace("mask_token", "embeddings.mask_token"), t)).collect()
-}
-
-fn safetensors(path: &Path, tensors: &Tensors) {
-    let bytes: Vec<Vec<u8>> =
-        tensors.values().map(|(_, v)| v.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
-    let views = tensors.iter().zip(&bytes).map(|((name, (shape, _)), bytes)| {
-        (name, TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap())
-    });
-    std::fs::write(path, safetensors::serialize(views, None).unwrap()).unwrap();
+    backbone_files::weights(Sizes { width: WIDTH, depth: DEPTH, patch: PATCH, side: SIDE, registers }, 9)
 }
 
 fn pytorch(path: &Path, tensors: &Tensors) {

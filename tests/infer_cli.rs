@@ -281,3 +281,22 @@ fn the_official_toolkits_scores_come_out_of_the_command_line() {
     }
     assert_eq!(scores["n_targets"], 406);
 }
+
+#[test]
+fn descriptors_and_templates_are_refused_where_they_have_no_use() {
+    let files = Files::new();
+    let root = files.folder.path().display().to_string();
+    let weights = files.at("weights.safetensors").display().to_string();
+    let dataset = ["--dataset", &root, "--targets", "targets.json"];
+    let refused = |command: &str, more: &[&str], part: &str| {
+        let arguments = std::iter::once(&command).chain(&dataset).chain(more);
+        let output = run(arguments.map(|s| (*s).to_owned()));
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && text.contains(part), "expected {part} in: {text}");
+    };
+    refused("segment", &["--templates"], "--descriptor");
+    refused("eval", &["--descriptor", &weights, "--detections", "d.json"], "cannot be used with");
+    refused("bench", &["--descriptor", &weights], "--descriptor and --proposals are for --detections unoseg");
+    // A checkpoint of this program is no DINOv2.
+    refused("segment", &["--descriptor", &weights, "--templates", "42"], "holds no DINOv2 backbone");
+}

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::OwnMasks;
 use crate::{
     eval::ROTATION_EDGES,
     formats::{ReferenceTarget, detections::SkippedDetection},
@@ -23,6 +24,8 @@ pub struct ListFacts {
     pub list_seed: Option<u64>,
     /// COCO's mAP of given masks.
     pub mask_map: Option<f64>,
+    /// Our own segmentation, by the sources of proposals that were tried.
+    pub own_masks: Vec<OwnMasks>,
 }
 
 /// Targets whose reference is between two angles away.

@@ -8,7 +8,7 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::{BenchError, facts::ListFacts, rendered::render_references};
+use super::{BenchError, OwnMasks, facts::ListFacts, rendered::render_references};
 use crate::{
     eval::{RegionKind, coco_detections, coco_ground_truth, coco_map},
     formats::{
@@ -22,14 +22,14 @@ use crate::{
 };
 
 /// Where the masks of the targets come from.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Segmentation {
     /// The annotated visible masks.
     GroundTruth,
     /// A file of detections.
     File(PathBuf),
-    /// A file of detections made by [`crate::segment`].
-    Own(PathBuf),
+    /// Detections made by [`crate::segment`].
+    Own(OwnMasks),
 }
 
 /// What a benchmark is run on.
@@ -89,8 +89,16 @@ impl ListRequest {
         name.map(|name| dataset.split(name)).transpose()
     }
 
+    fn facts(&self, list: String) -> ListFacts {
+        let own_masks = match &self.segmentation {
+            Segmentation::Own(masks) => vec![masks.clone()],
+            _ => Vec::new(),
+        };
+        ListFacts { list, segmentation: self.segmentation.name(), own_masks, ..ListFacts::default() }
+    }
+
     fn read(&self, path: &Path, list: String) -> Result<Entries, FormatError> {
-        let facts = ListFacts { list, segmentation: self.segmentation.name(), ..ListFacts::default() };
+        let facts = self.facts(list);
         let entries = read_reference_targets(path)?;
         Ok(Entries { facts, entries, place: path.display().to_string() })
     }
@@ -133,11 +141,9 @@ impl ListRequest {
             let path = folder.join(format!("test_ref_targets_{name}.json"));
             write_targets(&path, &list.entries)?;
             let facts = ListFacts {
-                list: name,
-                segmentation: self.segmentation.name(),
                 without_reference: list.without_reference,
                 list_seed: Some(self.seed),
-                mask_map: None,
+                ..self.facts(name)
             };
             Ok(Entries { facts, entries: list.entries, place: path.display().to_string() })
         };
@@ -156,11 +162,12 @@ impl ListRequest {
             list.facts.list = "rendered".into();
         }
         let detections = match &self.segmentation {
-            Segmentation::File(path) | Segmentation::Own(path) => read_detections(path)?,
+            Segmentation::File(path) => read_detections(path)?,
+            Segmentation::Own(masks) => read_detections(&masks.detections)?,
             Segmentation::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
         };
         let Entries { mut facts, entries, place } = list;
-        if self.segmentation != Segmentation::GroundTruth {
+        if let Segmentation::File(_) = &self.segmentation {
             facts.mask_map = Some(mask_map(&split, &entries, &detections)?);
         }
         let list = TargetList::new(dataset, split, reference_split, entries, detections, &place)?;
@@ -172,7 +179,7 @@ impl Segmentation {
     fn name(&self) -> String {
         match self {
             Self::GroundTruth => "ground-truth".into(),
-            Self::Own(_) => "unoseg".into(),
+            Self::Own(masks) => format!("unoseg ({})", masks.proposals),
             Self::File(path) => {
                 path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
             }

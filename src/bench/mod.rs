@@ -13,6 +13,7 @@ mod examples;
 mod facts;
 mod lists;
 mod network;
+mod own_masks;
 mod page;
 mod published;
 mod records;
@@ -29,6 +30,7 @@ pub use examples::Examples;
 pub use facts::{ListFacts, OverlapBin};
 pub use lists::{ListRequest, PreparedList, Segmentation};
 pub use network::{Network, Switches};
+pub use own_masks::OwnMasks;
 pub use published::{
     PublishedAblation, PublishedRow, PublishedTable, published_ablation, published_rows, published_tables,
 };

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use super::{
     Comparison,
     examples::Examples,
+    own_masks,
     published::{published_rows, published_tables},
     tables,
 };
@@ -62,6 +63,11 @@ pub fn html(comparison: &Comparison, examples: &[Examples]) -> String {
         );
     }
     page += "</table>\n<h2>Recall</h2><img src=\"recall.svg\" alt=\"recall by threshold\">\n";
+    let own = &comparison.facts.own_masks;
+    if !own.is_empty() {
+        page += "<h2>Our own segmentation</h2>\n";
+        page += &table(&own_masks::COLUMNS, own.iter().map(|masks| masks.cells()));
+    }
     page += "<h2>Other metrics</h2>\n";
     let others = comparison.methods.iter().map(|method| {
         std::iter::once(method.name.clone()).chain(tables::other_metrics(method)).collect::<Vec<_>>()

@@ -6,7 +6,6 @@ use std::{
     sync::Arc,
 };
 
-use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use super::BenchError;
@@ -15,23 +14,12 @@ use crate::{
         BopDataset, BopSplit, ReferenceTarget,
         bop::{BopSceneWriter, SceneImage, SceneInstance},
     },
-    frame::RgbdFrame,
-    geometry::Pose,
     mesh::{self, TriangleMesh},
-    render::{
-        Camera, Finish, Light, Placed, Room, Scene, SceneRenderer, Surface, instance_views,
-        texture::linear_to_srgb,
-    },
+    render::posed_view,
 };
 
 /// Millimetres per unit of the depth images.
 const DEPTH_SCALE: f64 = 0.1;
-const MATT: Finish = Finish { roughness: 0.8, metallic: 0.0 };
-/// Samples per pixel and direction.
-const DENSITY: u32 = 2;
-/// Part of the light that comes from everywhere, and from the lamp beside the camera.
-const AMBIENT: f32 = 0.35;
-const LAMP: f32 = 0.65;
 
 /// Draws the reference images of a list into the BOP split `folder`, numbered like the real ones; all annotated objects
 /// of an image hide each other as they do there. Depth is exact.
@@ -77,54 +65,23 @@ fn draw(
 ) -> Result<SceneImage, BenchError> {
     let annotated = real.scene(scene_id)?;
     let (width, height) = annotated.image_size(im_id)?;
-    // z up, the camera at the origin, level.
-    let t_camera_world =
-        Pose::new(Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0), Vector3::zeros());
-    let t_world_camera = t_camera_world.inverse();
     let place = format!("{}: image {im_id}", annotated.folder.join("scene_gt.json").display());
-    let (mut objects, mut poses) = (Vec::new(), Vec::new());
+    let (mut obj_ids, mut objects) = (Vec::new(), Vec::new());
     for gt in annotated.gt(im_id)? {
-        let t_camera_object = gt.pose(&place)?;
         if let Some(mesh) = meshes.get(&gt.obj_id) {
-            let t_world_object = t_world_camera * t_camera_object;
-            objects.push(Placed { mesh: mesh.clone(), finish: MATT, t_world_object });
-            poses.push((gt.obj_id, t_camera_object));
+            obj_ids.push(gt.obj_id);
+            objects.push((mesh.clone(), gt.pose(&place)?));
         }
     }
-    let intrinsics = annotated.camera(im_id)?.intrinsics;
-    let camera = Camera { t_camera_world, intrinsics, width, height };
-    let lamp = Light { position: Vector3::new(0.3, -0.2, 0.5), radius: 0.2, color: [LAMP; 3] };
-    let scene =
-        Scene { objects, room: empty_room(), lights: vec![lamp], sky: [AMBIENT; 3], ground: [AMBIENT; 3] };
-    let rendering = SceneRenderer::new(&scene).render(&camera, DENSITY);
-    let views = instance_views(&scene.objects, &camera, &rendering.ids);
-    let code = |c: f32| (linear_to_srgb(c.clamp(0.0, 1.0)) * 255.0).round() as u8;
-    let rgb = image::RgbImage::from_fn(width, height, |col, row| {
-        image::Rgb(rendering.radiance[row as usize * width as usize + col as usize].map(code))
-    });
-    let mut depth = rendering.depth;
-    depth.data.iter_mut().zip(&rendering.ids).filter(|(_, id)| **id == 0).for_each(|(z, _)| *z = 0.0);
-    let instances = poses.into_iter().zip(views).map(|((obj_id, t_camera_object), view)| SceneInstance {
-        obj_id,
-        t_camera_object,
-        mask: view.mask,
-        mask_visib: view.mask_visib,
-        px_count_all: view.px_count_all,
-    });
-    let instances = instances.collect();
-    Ok(SceneImage { im_id, frame: RgbdFrame { rgb, depth, intrinsics }, instances })
-}
-
-/// Grey walls far from everything.
-fn empty_room() -> Room {
-    let picture = Arc::new(image::RgbImage::from_pixel(1, 1, image::Rgb([128; 3])));
-    let surface = Surface { picture, tile: 1.0, angle: 0.0, finish: MATT };
-    Room {
-        blocks: Vec::new(),
-        floor: surface.clone(),
-        wall: surface,
-        floor_drop: 20.0,
-        half: 20.0,
-        ceiling: 20.0,
-    }
+    let view = posed_view(&objects, annotated.camera(im_id)?.intrinsics, [width, height]);
+    let instances = obj_ids.into_iter().zip(&objects).zip(view.instances).map(
+        |((obj_id, &(_, t_camera_object)), view)| SceneInstance {
+            obj_id,
+            t_camera_object,
+            mask: view.mask,
+            mask_visib: view.mask_visib,
+            px_count_all: view.px_count_all,
+        },
+    );
+    Ok(SceneImage { im_id, instances: instances.collect(), frame: view.frame })
 }

@@ -3,7 +3,8 @@
 use std::{fmt::Write as _, io::Write as _, path::Path};
 
 use super::{
-    BenchError, Comparison, MethodScore, OverlapBin, examples::Examples, page, published::published_tables,
+    BenchError, Comparison, MethodScore, OverlapBin, examples::Examples, own_masks, page,
+    published::published_tables,
 };
 use crate::{
     eval::Interval,
@@ -11,13 +12,18 @@ use crate::{
     report::{Curve, Panel, write_curves},
 };
 
-/// Writes `table.md`, `table.csv`, `table.json`, `recall.svg` and `index.html` into a folder.
+/// Writes `table.md`, `table.csv`, `table.json`, `recall.svg` and `index.html` into a folder, and `segmentation.csv` where the
+/// masks are our own.
 pub fn write_report(comparison: &Comparison, examples: &[Examples], folder: &Path) -> Result<(), BenchError> {
     write_json(&folder.join("table.json"), comparison, true)?;
     let text =
         |name: &str, text: &str| write_atomic(&folder.join(name), |out| out.write_all(text.as_bytes()));
     text("table.md", &markdown(comparison))?;
     write_csv(comparison, &folder.join("table.csv"))?;
+    let own = &comparison.facts.own_masks;
+    if !own.is_empty() {
+        own_masks::write_csv(own, &folder.join("segmentation.csv"))?;
+    }
     write_curves(
         &folder.join("recall.svg"),
         "threshold, share of the diameter (MSSD)",
@@ -57,6 +63,17 @@ pub fn markdown(comparison: &Comparison) -> String {
             let (a, b, ar) = (&difference.a, &difference.b, &difference.ar);
             let _ = writeln!(text, "| {a} - {b} | {} | {} |", percent(ar.value), span(ar));
         }
+    }
+    if !facts.own_masks.is_empty() {
+        let _ = writeln!(
+            text,
+            "\nOur own segmentation:\n\n| {} |\n{}|",
+            own_masks::COLUMNS.join(" | "),
+            "|--".repeat(own_masks::COLUMNS.len())
+        );
+        facts.own_masks.iter().for_each(|masks| {
+            let _ = writeln!(text, "| {} |", masks.cells().join(" | "));
+        });
     }
     text += "\n| method | mAP | AUC of ADD | AUC of ADD-S | ADD(-S) 10 % | angular error | Acc15 | Acc30 |\n";
     text += "|--|--|--|--|--|--|--|--|\n";

@@ -20,8 +20,11 @@ pub enum CheckpointError {
          coarse_point_matching.in_proj.weight; found {found}", path.display()
     )]
     NoNetwork { path: PathBuf, found: String },
-    #[error("{} holds no DINOv2 backbone: no patch embedding under the names of Meta, timm or Hugging Face", path.display())]
-    NoBackbone { path: PathBuf },
+    #[error(
+        "{} holds no DINOv2 backbone: no patch_embed.proj.weight (Meta, timm) or \
+         embeddings.patch_embeddings.projection.weight (Hugging Face); found {found}", path.display()
+    )]
+    NoBackbone { path: PathBuf, found: String },
     #[error(
         "{} is a backbone with SwiGLU feed-forward layers ({name}), as DINOv2's ViT-g; ViT-S, ViT-B and ViT-L can be used",
         path.display()

@@ -13,7 +13,7 @@ mod file;
 mod official;
 mod stored;
 
-pub use backbone::{Backbone, BackboneSizes, Naming, Resampling, load_backbone};
+pub use backbone::{Backbone, BackboneSizes, Naming, Resampling, load_backbone, load_transformer};
 pub use error::{CheckpointError, Mismatch};
 pub use file::TensorFile;
 pub use official::{OfficialSizes, OfficialState, export_official, load_official};
@@ -187,6 +187,16 @@ fn tensors_of<M: Module>(model: &M, path: &Path) -> Result<BTreeMap<String, Tens
 /// All parameters and buffers of a network on the host, under their official names and in PyTorch layouts.
 pub fn official_tensors<M: Module>(model: &M) -> Result<BTreeMap<String, TensorData>, CheckpointError> {
     tensors_of(model, Path::new("the network"))
+}
+
+/// CRC-32 of the names and values of all parameters and buffers: equal for equal weights, wherever they come from.
+pub fn checksum<M: Module>(model: &M) -> Result<u32, CheckpointError> {
+    let mut hasher = crc32fast::Hasher::new();
+    for (name, data) in official_tensors(model)? {
+        hasher.update(name.as_bytes());
+        hasher.update(data.as_bytes());
+    }
+    Ok(hasher.finalize())
 }
 
 fn shapes_of<M: Module>(model: &M) -> BTreeMap<String, Vec<usize>> {

@@ -15,6 +15,11 @@ pub struct CropBox {
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const STD: [f32; 3] = [0.229, 0.224, 0.225];
 
+/// An 8-bit colour by ImageNet's mean and deviation.
+pub fn imagenet_normalised(rgb: [u8; 3]) -> [f32; 3] {
+    std::array::from_fn(|c| (f32::from(rgb[c]) / 255.0 - MEAN[c]) / STD[c])
+}
+
 impl CropBox {
     /// Box with the larger side of `tight` (an odd side loses a pixel), centred on it and shifted into the image.
     pub fn around(tight: &BoundingBox, width: u32, height: u32) -> Self {

@@ -16,7 +16,7 @@ mod prepare;
 mod selection;
 mod stream;
 
-pub use crop::CropBox;
+pub use crop::{CropBox, imagenet_normalised};
 pub use error::DataError;
 pub use label::{overlap_share, view_to_view};
 pub use pairs::{FrameSource, PairKey, PairSampler, TrainSample};

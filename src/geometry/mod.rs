@@ -9,6 +9,7 @@ mod coarse_pose;
 mod columns;
 mod correlation;
 mod fine_pose;
+mod icosphere;
 mod mutual_fit;
 mod neighbors;
 mod pose;
@@ -23,6 +24,7 @@ pub use camera::{Intrinsics, IntrinsicsError};
 pub use coarse_pose::{CoarsePose, Hypothesis, coarse_pose, match_distribution};
 pub use correlation::correlation_assignment;
 pub use fine_pose::{FinePose, fine_pose};
+pub use icosphere::icosphere;
 pub use mutual_fit::MutualFit;
 pub use neighbors::{
     BallGroups, BallQuery, LocalFrames, SignCount, ball_groups, ball_query, local_frames, local_sign_counts,

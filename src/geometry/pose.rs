@@ -30,6 +30,18 @@ impl Pose {
         std::array::from_fn(|i| m[(i / 3, i % 3)])
     }
 
+    /// World to camera (z forward, y down) of a camera at `position` that looks at `target`, the world's z pointing up in
+    /// its image, turned by `roll` radians about its axis.
+    pub fn looking_at(position: &Vector3<f64>, target: &Vector3<f64>, roll: f64) -> Self {
+        let z = (target - position).normalize();
+        let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+        let y = z.cross(&x);
+        let (s, c) = roll.sin_cos();
+        let (right, down) = (x * c + y * s, y * c - x * s);
+        let rotation = Matrix3::from_rows(&[right.transpose(), down.transpose(), z.transpose()]);
+        Self::new(rotation, -(rotation * position))
+    }
+
     pub fn inverse(&self) -> Self {
         let r = self.rotation.transpose();
         Self::new(r, -(r * self.translation))

@@ -38,7 +38,7 @@ pub enum InferError {
 }
 
 impl InferError {
-    pub(super) fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
+    pub(crate) fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
         move |error: E| Self::Readback { what, message: error.to_string() }
     }
 }

@@ -132,13 +132,9 @@ impl PoseEstimator {
         if let Some(network) = self.network.get() {
             return Ok(network);
         }
-        let mut weights = crc32fast::Hasher::new();
-        for (name, data) in checkpoint::official_tensors(&self.model)? {
-            weights.update(name.as_bytes());
-            weights.update(data.as_bytes());
-        }
+        let weights = checkpoint::checksum(&self.model)?;
         let config = serde_json::to_string(&self.config).unwrap_or_default();
-        let network = format!("{:08x}-{:08x}", weights.finalize(), crc32fast::hash(config.as_bytes()));
+        let network = format!("{weights:08x}-{:08x}", crc32fast::hash(config.as_bytes()));
         Ok(self.network.get_or_init(|| network))
     }
 

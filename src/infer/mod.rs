@@ -35,7 +35,9 @@ pub use pairs::{
 };
 pub use reference::Reference;
 pub use reference_color::ReferenceColor;
-pub use target_list::{Rejection, TargetFiles, TargetList, TargetPoses, next_detections};
+pub use target_list::{
+    MIN_DETECTION_SCORE, Rejection, TargetFiles, TargetList, TargetPoses, next_detections,
+};
 pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
 pub use trace::{FineTrace, PairTrace, sparse_points};

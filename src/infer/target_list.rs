@@ -14,7 +14,7 @@ use crate::formats::{
 };
 
 /// Detections scored above this get a pose; the best of the others when none of these does.
-const MIN_DETECTION_SCORE: f64 = 0.25;
+pub const MIN_DETECTION_SCORE: f64 = 0.25;
 
 /// Files of [`TargetList::open`].
 #[derive(Clone, Debug)]

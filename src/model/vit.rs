@@ -71,10 +71,20 @@ pub struct VisionTransformer {
 
 /// Outputs of [`VisionTransformer::forward`].
 pub struct VitFeatures {
-    /// Final-norm patch tokens of four blocks, concatenated over channels: `[B, patches, 4 * embed_dim]`.
+    /// Final-norm patch tokens of four blocks, the last one's last, concatenated over channels:
+    /// `[B, patches, 4 * embed_dim]`.
     pub pyramid: Tensor<3>,
     /// Class token after the last block and norm: `[B, embed_dim]`.
     pub class_token: Tensor<2>,
+}
+
+impl VitFeatures {
+    /// Patch tokens after the last block and norm, row-major: `[B, patches, embed_dim]`.
+    pub fn patch_tokens(&self) -> Tensor<3> {
+        let [batch, patches, channels] = self.pyramid.dims();
+        let last = channels - self.class_token.dims()[1];
+        self.pyramid.clone().slice([0..batch, 0..patches, last..channels])
+    }
 }
 
 impl VisionTransformer {
@@ -94,6 +104,11 @@ impl VisionTransformer {
             patch_size: config.patch_size,
             no_embed_class: config.no_embed_class,
         }
+    }
+
+    /// Side of a patch, pixels.
+    pub fn patch_size(&self) -> usize {
+        self.patch_size
     }
 
     /// Normalised images `[B, 3, S, S]`, `S` a multiple of the patch size.

@@ -10,6 +10,7 @@ mod color;
 pub mod depth;
 mod indirect;
 mod instances;
+mod posed;
 mod raster;
 mod rays;
 mod room;
@@ -20,5 +21,6 @@ pub mod texture;
 mod view;
 
 pub use instances::{InstanceView, instance_views};
+pub use posed::{PosedView, posed_view};
 pub use scene::{Block, Finish, Light, Placed, Room, Scene, Surface};
 pub use view::{Camera, Rendering, SceneRenderer};

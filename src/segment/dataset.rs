@@ -9,35 +9,29 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{Matcher, SegmentError, UnoSeg};
-use crate::{
-    formats::{
-        BopSplit, FormatError, ReferenceTarget,
-        detections::Detection,
-        files::{read_json, write_json},
-    },
-    registration::MaskedView,
+use super::{
+    Matcher, SegmentError, UnoSeg,
+    objects::{ObjectKey, ObjectViews, Objects},
+};
+use crate::formats::{
+    BopSplit, ReferenceTarget,
+    detections::Detection,
+    files::{read_json, write_json},
 };
 
-/// Objects kept in memory at most.
-const KEPT_OBJECTS: usize = 64;
-
 /// Everything found in the images of a target list.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct DatasetSegmentation {
     pub detections: Vec<Detection>,
     /// All proposals; their category is 0.
     pub proposals: Vec<Detection>,
-    /// Seconds of each image, proposals and matching together, without files and references.
+    /// Seconds of each image, proposals and matching together, without files and the objects' views.
     pub seconds: Vec<f64>,
     /// Seconds of each image's proposals.
     pub proposal_seconds: Vec<f64>,
-    /// References that could not be used, with the reason.
-    pub unusable: Vec<(ReferenceKey, String)>,
+    /// Objects whose views could not be used, with the reason.
+    pub unusable: Vec<(ObjectKey, String)>,
 }
-
-/// Scene, image, object of a reference.
-pub type ReferenceKey = (u32, u32, u32);
 
 /// Result of one image on disk.
 #[derive(Serialize, Deserialize)]
@@ -49,32 +43,33 @@ struct Kept {
     proposal_seconds: f64,
 }
 
-/// Detects the objects of a target list in its images, each with its references in `references`. Results of single
-/// images are kept in the folder `keep` and taken from there when nothing that decides about them has changed.
-/// `progress` is called with the images done and all images.
+/// Detects the objects of a target list in its images, each by its views. Results of single images are kept in the folder
+/// `keep` and taken from there when nothing that decides about them has changed. `progress` is called with the images
+/// done and all images.
 pub fn segment_targets<M: Matcher>(
     unoseg: &UnoSeg<'_, M>,
     targets: &[ReferenceTarget],
     split: &BopSplit,
-    references: &BopSplit,
+    views: &ObjectViews<'_>,
     keep: &Path,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<DatasetSegmentation, SegmentError> {
-    let mut images: BTreeMap<(u32, u32), Vec<ReferenceKey>> = BTreeMap::new();
+    let mut images: BTreeMap<(u32, u32), Vec<&ReferenceTarget>> = BTreeMap::new();
     for target in targets {
         let wanted = images.entry((target.scene_id, target.im_id)).or_default();
-        let key = (target.ref_scene_id, target.ref_im_id, target.obj_id);
-        if !wanted.contains(&key) {
-            wanted.push(key);
+        if wanted.iter().all(|other| views.key(other) != views.key(target)) {
+            wanted.push(target);
         }
     }
-    let mut objects = Objects { unoseg, split: references, kept: BTreeMap::new(), unusable: BTreeMap::new() };
+    let method = format!("{} {}", unoseg.fingerprint(), views.fingerprint());
+    let mut objects = Objects::new(unoseg.matcher, views);
     let mut all = DatasetSegmentation::default();
     let total = images.len();
     for (done, (&(scene_id, im_id), wanted)) in images.iter().enumerate() {
         progress(done, total);
         let scene = split.scene(scene_id)?;
-        let key = fingerprint(&unoseg.fingerprint(), &scene.folder, im_id, wanted);
+        let keys: Vec<ObjectKey> = wanted.iter().map(|target| views.key(target)).collect();
+        let key = fingerprint(&method, &scene.folder, im_id, &keys);
         let path = keep.join(format!("{scene_id:06}_{im_id:06}.json"));
         let kept = read_json::<Kept>(&path).ok().filter(|kept| kept.key == key);
         let kept = match kept {
@@ -91,23 +86,23 @@ pub fn segment_targets<M: Matcher>(
         all.proposal_seconds.push(kept.proposal_seconds);
     }
     progress(total, total);
-    all.unusable = objects.unusable.into_iter().collect();
+    all.unusable = objects.into_unusable();
     Ok(all)
 }
 
 fn image<M: Matcher>(
     unoseg: &UnoSeg<'_, M>,
-    objects: &mut Objects<'_, '_, M>,
+    objects: &mut Objects<'_, M>,
     key: String,
     (scene_id, im_id): (u32, u32),
     split: &BopSplit,
-    wanted: &[ReferenceKey],
+    wanted: &[&ReferenceTarget],
 ) -> Result<Kept, SegmentError> {
     let frame = split.scene(scene_id)?.frame(im_id)?;
     let mut usable: Vec<(u32, Arc<M::Object>)> = Vec::new();
-    for &reference in wanted {
-        if let Some(object) = objects.get(reference)? {
-            usable.push((reference.2, object));
+    for target in wanted {
+        if let Some(object) = objects.get(target)? {
+            usable.push((target.obj_id, object));
         }
     }
     let list: Vec<&M::Object> = usable.iter().map(|(_, object)| object.as_ref()).collect();
@@ -130,55 +125,8 @@ fn image<M: Matcher>(
     })
 }
 
-fn fingerprint(method: &str, scene: &Path, im_id: u32, wanted: &[ReferenceKey]) -> String {
+fn fingerprint(method: &str, scene: &Path, im_id: u32, wanted: &[ObjectKey]) -> String {
     let mut hasher = DefaultHasher::new();
     (method, scene, im_id, wanted).hash(&mut hasher);
     format!("{} {:016x}", env!("CARGO_PKG_VERSION"), hasher.finish())
-}
-
-/// References as objects, made on demand.
-struct Objects<'a, 'b, M: Matcher> {
-    unoseg: &'a UnoSeg<'b, M>,
-    split: &'a BopSplit,
-    kept: BTreeMap<ReferenceKey, Arc<M::Object>>,
-    unusable: BTreeMap<ReferenceKey, String>,
-}
-
-impl<M: Matcher> Objects<'_, '_, M> {
-    /// The most visible instance in the reference image; `None`, with the reason noted, when it is of no use.
-    fn get(&mut self, key: ReferenceKey) -> Result<Option<Arc<M::Object>>, SegmentError> {
-        if let Some(object) = self.kept.get(&key) {
-            return Ok(Some(object.clone()));
-        }
-        if self.unusable.contains_key(&key) {
-            return Ok(None);
-        }
-        let (scene_id, im_id, obj_id) = key;
-        let scene = self.split.scene(scene_id)?;
-        let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
-        let of_object = instances.filter(|(_, (gt, _))| gt.obj_id == obj_id);
-        let Some((index, _)) = of_object.max_by(|(_, a), (_, b)| a.1.visib_fract.total_cmp(&b.1.visib_fract))
-        else {
-            let place = scene.folder.join("scene_gt.json");
-            let missing = format!("image {im_id} object {obj_id}");
-            let hint = "the target list names it as a reference";
-            return Err(FormatError::missing(place.display(), missing, hint).into());
-        };
-        let (frame, mask) = (scene.frame(im_id)?, scene.mask_visib(im_id, index)?);
-        match self.unoseg.matcher.object(&[MaskedView { frame: &frame, mask: &mask }]) {
-            Ok(object) => {
-                if self.kept.len() >= KEPT_OBJECTS {
-                    self.kept.pop_first();
-                }
-                let object = Arc::new(object);
-                self.kept.insert(key, object.clone());
-                Ok(Some(object))
-            }
-            Err(SegmentError::Format(error)) => Err(error.into()),
-            Err(error) => {
-                self.unusable.insert(key, error.to_string());
-                Ok(None)
-            }
-        }
-    }
 }

@@ -1,6 +1,9 @@
 //! Why there is no mask.
 
-use crate::{checkpoint::CheckpointError, formats::FormatError, infer::InferError};
+use crate::{
+    checkpoint::CheckpointError, device::DeviceError, formats::FormatError, infer::InferError,
+    mesh::MeshError,
+};
 
 /// Error of the `segment` room.
 #[derive(Debug, thiserror::Error)]
@@ -11,8 +14,14 @@ pub enum SegmentError {
     Prompt { what: &'static str, value: String, expected: String },
     #[error("not found: {proposals} proposals in {image}, none is like the reference")]
     NotFound { image: String, proposals: usize },
+    #[error("an object described by another matcher cannot be compared by {matcher}")]
+    OtherMatcher { matcher: String },
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
     #[error(transparent)]
     Format(#[from] FormatError),
     #[error(transparent)]

@@ -18,6 +18,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct ListedProposals {
     path: PathBuf,
+    /// CRC-32 of the file.
+    checksum: u32,
     images: BTreeMap<ImageKey, Vec<Detection>>,
 }
 
@@ -30,7 +32,8 @@ impl ListedProposals {
         for list in images.values_mut() {
             list.sort_by(|a, b| b.score.total_cmp(&a.score));
         }
-        Ok(Self { path: path.to_owned(), images })
+        let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
+        Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), images })
     }
 }
 
@@ -38,6 +41,10 @@ impl ProposalGenerator for ListedProposals {
     fn name(&self) -> String {
         let stem = self.path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         format!("listed-{stem}")
+    }
+
+    fn fingerprint(&self) -> String {
+        format!("{} {:08x}", self.name(), self.checksum)
     }
 
     /// Without a key the file must be about one image.
@@ -105,6 +112,9 @@ mod tests {
             assert_eq!(found.iter().map(|p| &p.mask).collect::<Vec<_>>(), [&masks[1], &masks[0]]);
         }
         assert!(listed.proposals(&frame, Some((1, 3))).unwrap().is_empty());
+        write_detections(&path, &list[..1]).unwrap();
+        let changed = ListedProposals::read(&path).unwrap();
+        assert!(changed.name() == listed.name() && changed.fingerprint() != listed.fingerprint());
         let small = RgbdFrame { rgb: image::RgbImage::new(3, 2), ..frame };
         let message = listed.proposals(&small, None).unwrap_err().to_string();
         assert!(message.contains("4 x 2") && message.contains("3 x 2"), "{message}");

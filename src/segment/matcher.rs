@@ -14,6 +14,10 @@ pub trait Matcher: Sync {
     /// Everything that decides about a score besides the images.
     fn fingerprint(&self) -> String;
 
+    /// Score above which each detection of an object is an instance of it; of an object that is nowhere scored so high, the
+    /// best detection is.
+    fn instance_score(&self) -> f64;
+
     /// Describes an object by its views: one reference, or templates of a model.
     fn object(&self, views: &[MaskedView]) -> Result<Self::Object, SegmentError>;
 

@@ -31,5 +31,10 @@ pub trait ProposalGenerator: Send + Sync {
     /// Short, of letters, digits and dashes.
     fn name(&self) -> String;
 
+    /// Everything that decides about the proposals besides the image.
+    fn fingerprint(&self) -> String {
+        self.name()
+    }
+
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
 }

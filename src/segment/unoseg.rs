@@ -29,7 +29,7 @@ pub struct Segmentation {
 impl<M: Matcher> UnoSeg<'_, M> {
     /// Everything that decides about a result besides the images.
     pub fn fingerprint(&self) -> String {
-        format!("{} {}", self.generator.name(), self.matcher.fingerprint())
+        format!("{} {}", self.generator.fingerprint(), self.matcher.fingerprint())
     }
 
     /// Finds objects in an image. An image without proposals has none of them.

@@ -2,7 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{background::Backgrounds, object::SynthObject, physics, random::Draw, setting::Place};
@@ -156,21 +156,10 @@ impl Arrangement {
         position.z = position.z.max(zone.lowest);
         position.y = zone.front.map_or(position.y, |y| position.y.min(y));
         let roll = if rng.chance(0.1) { rng.between(0.0, 360.0) } else { camera.roll_deg * rng.normal() };
-        let t_camera_world = look_at(&position, &target, roll.to_radians());
+        let t_camera_world = Pose::looking_at(&position.cast(), &target.cast(), f64::from(roll.to_radians()));
         let intrinsics = intrinsics(config, camera, radius, (position - target).norm(), rng);
         Camera { t_camera_world, intrinsics, width: config.width, height: config.height }
     }
-}
-
-fn look_at(position: &Vector3<f32>, target: &Vector3<f32>, roll: f32) -> Pose {
-    let (position, target) = (position.cast::<f64>(), target.cast::<f64>());
-    let z = (target - position).normalize();
-    let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
-    let y = z.cross(&x);
-    let (s, c) = f64::from(roll).sin_cos();
-    let (right, down) = (x * c + y * s, y * c - x * s);
-    let rotation = Matrix3::from_rows(&[right.transpose(), down.transpose(), z.transpose()]);
-    Pose::new(rotation, -(rotation * position))
 }
 
 fn intrinsics(

@@ -2,6 +2,7 @@
 
 mod lists;
 mod networks;
+mod own_masks;
 mod sequences;
 
 use std::{

@@ -1,22 +1,30 @@
 //! `unoinfer bench`.
 
-use std::{path::PathBuf, sync::Mutex};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::Mutex,
+};
 
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use unopose::{
-    bench::{INGREDIENTS, ListRequest, Method, Network, Segmentation, Suite, run_sequence, sequence_table},
+    bench::{
+        INGREDIENTS, ListRequest, Method, Network, OwnMasks, PreparedList, Segmentation, Suite, run_sequence,
+        sequence_table,
+    },
     device::DeviceChoice,
     formats::{BopDataset, PhoneSequence},
     infer::{PoseEstimator, Refinement},
     protocol::{Protocol, REFERENCE_COUNTS},
     registration::{CLASSICAL_METHODS, classical_method},
-    segment::{EmbeddedProposals, GeometricMatcher},
+    segment::{AnyMatcher, Matcher, ProposalGenerator},
 };
 
 use super::{
     progress::Progress,
-    segment::{DatasetFiles, segment_dataset},
+    segment::generator,
+    segment_dataset::{DatasetFiles, segment_dataset},
 };
 
 /// Name of the network among the methods.
@@ -53,10 +61,17 @@ pub struct BenchArguments {
     /// test_ref_targets_PROTOCOL.json, else a list that is built and written to --out]
     #[arg(long, value_name = "JSON")]
     targets: Option<PathBuf>,
-    /// Masks: gt (annotated visible masks), unoseg (found by the first checkpoint for --targets, as `segment` does; kept in
-    /// OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    /// Masks: gt (annotated visible masks), unoseg (found for --targets as `segment` does, by --descriptor or the first
+    /// checkpoint; kept in OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
     #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
     detections: PathBuf,
+    /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
+    /// colour), or a list of masks of another segmenter in the COCO/BOP form [default: embedded]
+    #[arg(long, value_name = "SOURCES", value_delimiter = ',')]
+    proposals: Vec<String>,
+    /// DINOv2 weights by which unoseg compares proposals with the reference [default: the first checkpoint compares]
+    #[arg(long, value_name = "FILE")]
+    descriptor: Option<PathBuf>,
     /// Methods, separated by commas: aligncenter, fpfh-ransac, fpfh-mac, ppf, unopose; or all
     #[arg(long, value_delimiter = ',', default_value = "all")]
     methods: Vec<String>,
@@ -107,20 +122,6 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
     if matches!(arguments.protocol, ProtocolName::Sequence) {
         return sequence(arguments, &methods);
     }
-    let request = ListRequest {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: arguments.reference_split.clone(),
-        targets: arguments.targets.clone(),
-        segmentation: match arguments.detections.to_str() {
-            Some("gt") => Segmentation::GroundTruth,
-            Some("unoseg") => Segmentation::Own(own_masks(arguments)?),
-            _ => Segmentation::File(arguments.detections.clone()),
-        },
-        limit: arguments.limit,
-        seed: arguments.seed,
-        rendered: matches!(arguments.protocol, ProtocolName::Rendered),
-    };
     let shown: Mutex<Option<(String, Progress)>> = Mutex::new(None);
     let suite = Suite {
         methods: &methods,
@@ -131,12 +132,35 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
         seed: arguments.seed,
         progress: &|label, done, total| show(&shown, label, done, total),
     };
-    let lists = request.prepare(&protocols(arguments), &arguments.out)?;
-    let several = lists.len() > 1;
-    for prepared in &lists {
+    let (own, segmentations) = segmentations(arguments)?;
+    for segmentation in segmentations {
+        let folder = match &segmentation {
+            Segmentation::Own(masks) if own.len() > 1 => arguments.out.join(&masks.proposals),
+            _ => arguments.out.clone(),
+        };
+        let request = ListRequest {
+            dataset: arguments.dataset.clone(),
+            split: arguments.split.clone(),
+            reference_split: arguments.reference_split.clone(),
+            targets: arguments.targets.clone(),
+            segmentation,
+            limit: arguments.limit,
+            seed: arguments.seed,
+            rendered: matches!(arguments.protocol, ProtocolName::Rendered),
+        };
+        let mut lists = request.prepare(&protocols(arguments), &folder)?;
+        lists.iter_mut().for_each(|prepared| prepared.facts.own_masks = own.clone());
+        run_lists(&suite, &lists, &folder)?;
+    }
+    Ok(())
+}
+
+/// All methods on every list; several have folders of their own.
+fn run_lists(suite: &Suite<'_>, lists: &[PreparedList], folder: &Path) -> anyhow::Result<()> {
+    for prepared in lists {
         let name = &prepared.facts.list;
         eprintln!("{name}: {} targets", prepared.list.targets.len());
-        let folder = if several { arguments.out.join(name) } else { arguments.out.clone() };
+        let folder = if lists.len() > 1 { folder.join(name) } else { folder.to_owned() };
         suite.run(&prepared.list, &prepared.facts, &folder)?;
         for table in ["table.md", "ablation.md"] {
             let path = folder.join(table);
@@ -149,31 +173,60 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Detections of the targets by our own segmentation, from the references and splits that the poses get.
-fn own_masks(arguments: &BenchArguments) -> anyhow::Result<PathBuf> {
+/// Our own masks where they are asked for, and the segmentations to run with, one after the other.
+fn segmentations(arguments: &BenchArguments) -> anyhow::Result<(Vec<OwnMasks>, Vec<Segmentation>)> {
+    let given = match arguments.detections.to_str() {
+        Some("gt") => Segmentation::GroundTruth,
+        Some("unoseg") => {
+            let own = own_masks(arguments)?;
+            let segmentations = own.iter().cloned().map(Segmentation::Own).collect();
+            return Ok((own, segmentations));
+        }
+        _ => Segmentation::File(arguments.detections.clone()),
+    };
+    if arguments.descriptor.is_some() || !arguments.proposals.is_empty() {
+        bail!("--descriptor and --proposals are for --detections unoseg");
+    }
+    Ok((Vec::new(), vec![given]))
+}
+
+/// Detections of the targets by our own segmentation with every source of proposals, from the references and splits that
+/// the poses get.
+fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
     let targets = arguments.targets.clone().context("--detections unoseg needs the list as --targets")?;
     if matches!(arguments.protocol, ProtocolName::Rendered) {
         bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
     }
+    let sources = match arguments.proposals.as_slice() {
+        [] => vec![generator("embedded")?],
+        sources => sources.iter().map(|source| generator(source)).collect::<Result<_, _>>()?,
+    };
+    let names: BTreeSet<String> = sources.iter().map(|source| source.name()).collect();
+    if names.len() < sources.len() {
+        bail!("--proposals has several sources of one name among {names:?}, expected different ones");
+    }
     let dataset = BopDataset::open(&arguments.dataset)?;
     let reference_split = arguments.reference_split.as_deref().or_else(|| dataset.reference_split_name());
+    let files = DatasetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: reference_split.map(str::to_owned),
+        targets,
+        limit: arguments.limit,
+        templates: None,
+    };
     let estimator = match arguments.checkpoint.first() {
         Some(path) => PoseEstimator::load(path, arguments.device)?,
         None => PoseEstimator::load_default(arguments.device)?,
     }
     .with_seed(arguments.seed);
-    segment_dataset(
-        &DatasetFiles {
-            dataset: arguments.dataset.clone(),
-            split: arguments.split.clone(),
-            reference_split: reference_split.map(str::to_owned),
-            targets,
-            limit: arguments.limit,
-        },
-        &EmbeddedProposals,
-        &GeometricMatcher { estimator: &estimator },
-        &arguments.out.join("segmentation"),
-    )
+    let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+    let found = |source: &dyn ProposalGenerator| {
+        let out = arguments.out.join("segmentation").join(source.name());
+        let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
+        Ok(OwnMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
+    };
+    sources.iter().map(|source| found(source.as_ref())).collect()
 }
 
 fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {

@@ -15,6 +15,7 @@ use unopose::{
     infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder},
     registration::MaskedView,
     report::{explain, overlay},
+    segment::AnyMatcher,
 };
 
 use super::{options::EstimatorOptions, progress::Progress, segment::find_masks};
@@ -41,6 +42,10 @@ pub struct EstimateArguments {
     /// 3 when the object is not there]
     #[arg(long, value_name = "FILE")]
     query_mask: Vec<PathBuf>,
+    /// DINOv2 weights by which the object is found without --query-mask: ViT-S, B or L with or without registers,
+    /// safetensors or PyTorch [default: the pose network's checkpoint finds it]
+    #[arg(long, value_name = "FILE", conflicts_with = "query_mask")]
+    descriptor: Option<PathBuf>,
     /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
     /// when it is not --camera; results go to OUT/NAME/
     #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
@@ -77,6 +82,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let queries = queries(arguments)?;
     let estimator = arguments.estimator.estimator()?;
     let (reference, view) = reference(arguments, &estimator)?;
+    let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
 
     let progress = Progress::new("estimating");
     let mut failed = Vec::new();
@@ -87,7 +93,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
             (false, _) => Ok(Cow::Borrowed(files)),
             (true, Some(view)) => {
                 let masked = MaskedView { frame: &view.frame, mask: &view.masks[0] };
-                find_masks(&estimator, masked, files, &out).map(Cow::Owned)
+                find_masks(&matcher, masked, files, &out).map(Cow::Owned)
             }
             (true, None) => {
                 bail!("--query-mask is missing: a kept reference has no image to find the object by")

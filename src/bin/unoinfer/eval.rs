@@ -6,14 +6,14 @@ use clap::{Args, ValueEnum};
 use unopose::{
     eval::{score_poses, write_poses},
     infer::{ReferenceColor, Refinement, TargetFiles, TargetList, estimate_targets},
-    segment::{EmbeddedProposals, GeometricMatcher},
+    segment::{AnyMatcher, EmbeddedProposals},
 };
 
 use super::{
     options::EstimatorOptions,
     progress::Progress,
     score,
-    segment::{DatasetFiles, segment_dataset},
+    segment_dataset::{DatasetFiles, segment_dataset},
 };
 
 /// Sources of masks.
@@ -33,10 +33,13 @@ pub struct EvalArguments {
     /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
     #[arg(long, value_name = "JSON", required_unless_present = "segmentation")]
     detections: Option<PathBuf>,
-    /// Where the masks come from instead of --detections: unoseg (proposals from depth and colour, matched by the
-    /// checkpoint); written to OUT/segmentation
+    /// Where the masks come from instead of --detections: unoseg (proposals from depth and colour, matched by --descriptor
+    /// or the checkpoint); written to OUT/segmentation
     #[arg(long, conflicts_with = "detections")]
     segmentation: Option<Segmentation>,
+    /// DINOv2 weights by which --segmentation compares proposals with the reference [default: the checkpoint compares]
+    #[arg(long, value_name = "FILE", conflicts_with = "detections")]
+    descriptor: Option<PathBuf>,
     /// Folder for the result table, scores.json, errors.json and rejected.json
     #[arg(long, value_name = "DIR", default_value = "eval")]
     out: PathBuf,
@@ -70,18 +73,18 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     let detections = match &arguments.detections {
         Some(path) => path.clone(),
-        None => segment_dataset(
-            &DatasetFiles {
+        None => {
+            let files = DatasetFiles {
                 dataset: arguments.dataset.clone(),
                 split: arguments.split.clone(),
                 reference_split: arguments.reference_split.clone(),
                 targets: arguments.targets.clone(),
                 limit: arguments.limit,
-            },
-            &EmbeddedProposals,
-            &GeometricMatcher { estimator: &estimator },
-            &arguments.out.join("segmentation"),
-        )?,
+                templates: None,
+            };
+            let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+            segment_dataset(&files, &EmbeddedProposals, &matcher, &arguments.out.join("segmentation"))?.0
+        }
     };
     let list = TargetList::open(&TargetFiles {
         dataset: arguments.dataset.clone(),

@@ -10,6 +10,7 @@ mod options;
 mod progress;
 mod score;
 mod segment;
+mod segment_dataset;
 mod verify;
 
 use clap::{Parser, Subcommand};
@@ -75,5 +76,15 @@ fn main() -> std::process::ExitCode {
                 _ => std::process::ExitCode::FAILURE,
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn arguments_refer_to_each_other_by_their_names() {
+        super::Arguments::command().debug_assert();
     }
 }

@@ -5,29 +5,27 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use unopose::{
-    eval::score_segmentation,
     formats::{
-        BopDataset, FormatError,
+        FormatError,
         camera::read_camera,
         detections::write_detections,
         image_io::{read_depth, read_rgb, write_mask},
-        targets::{read_reference_targets, read_targets},
     },
     frame::{BoundingBox, DepthMap, Mask, RgbdFrame},
     geometry::Intrinsics,
-    infer::{PoseEstimator, ViewFiles},
+    infer::ViewFiles,
     registration::MaskedView,
     report::overlay,
     segment::{
-        Assigned, EmbeddedProposals, GeometricMatcher, ListedProposals, Matcher, Prompt, Proposal,
-        ProposalGenerator, SegmentError, UnoSeg, prompted, segment_targets,
+        AnyMatcher, EmbeddedProposals, ListedProposals, Matcher, Prompt, Proposal, ProposalGenerator,
+        SegmentError, Segmentation, UnoSeg, prompted,
     },
 };
 
-use super::{options::EstimatorOptions, progress::Progress};
-
-/// Detections scored above this are instances; the best of the others when none of these is.
-const MIN_DETECTION_SCORE: f64 = 0.25;
+use super::{
+    options::EstimatorOptions,
+    segment_dataset::{DatasetFiles, segment_dataset},
+};
 
 #[derive(Args)]
 pub struct SegmentArguments {
@@ -41,7 +39,7 @@ pub struct SegmentArguments {
     #[arg(long, value_name = "JSON")]
     camera: Option<PathBuf>,
     /// Write the mask of what is at this pixel, to OUT/mask.png
-    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 1, conflicts_with_all = ["r#box", "dataset"])]
+    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 1, conflicts_with_all = ["box", "dataset"])]
     point: Vec<u32>,
     /// Write the mask of what this box is around, to OUT/mask.png
     #[arg(long, value_name = "X,Y,W,H", value_delimiter = ',', num_args = 1, conflicts_with = "dataset")]
@@ -73,6 +71,13 @@ pub struct SegmentArguments {
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
+    /// DINOv2 weights by which proposals are compared with the reference: ViT-S, B or L with or without registers,
+    /// safetensors or PyTorch [default: the pose network's checkpoint compares]
+    #[arg(long, value_name = "FILE")]
+    descriptor: Option<PathBuf>,
+    /// With --dataset and --descriptor: N templates of each object's CAD model instead of its reference view (12, 42 or 162)
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "42", requires = "descriptor", conflicts_with = "rgb")]
+    templates: Option<usize>,
     /// Proposals: embedded (from depth and colour), or a list of masks of another segmenter in the COCO/BOP form
     #[arg(long, value_name = "SOURCE", default_value = "embedded")]
     proposals: String,
@@ -92,9 +97,10 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
             reference_split: arguments.reference_split.clone(),
             targets: targets.clone(),
             limit: arguments.limit,
+            templates: arguments.templates,
         };
         let estimator = arguments.estimator.estimator()?;
-        let matcher = GeometricMatcher { estimator: &estimator };
+        let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
         return segment_dataset(&files, generator.as_ref(), &matcher, &arguments.out).map(drop);
     }
     let frame = frame(arguments)?;
@@ -103,15 +109,18 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         let view = reference.read()?;
         let mask = view.masks.first().context("no reference mask")?;
         let estimator = arguments.estimator.estimator()?;
-        let matcher = GeometricMatcher { estimator: &estimator };
+        let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
         let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
         let object = matcher.object(&[MaskedView { frame: &view.frame, mask }])?;
         let found = unoseg.segment(&frame, None, &[&object])?;
-        let instances = instances(&found.proposals, &found.found);
+        let instances = instances(&matcher, &found);
         if instances.is_empty() {
             return Err(not_found(&path, found.proposals.len()));
         }
         return write(&arguments.out, &frame, &instances, found.seconds);
+    }
+    if arguments.descriptor.is_some() {
+        bail!("--descriptor compares with a reference: expected --reference-rgb or --dataset");
     }
     let start = std::time::Instant::now();
     let proposals = generator.proposals(&frame, None)?;
@@ -134,7 +143,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     }
 }
 
-fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
+pub fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
     Ok(match source {
         "embedded" => Box::new(EmbeddedProposals),
         path => Box::new(ListedProposals::read(Path::new(path))?),
@@ -187,10 +196,10 @@ fn prompt(arguments: &SegmentArguments) -> anyhow::Result<Option<Prompt>> {
 }
 
 /// Confident detections, or the best one.
-fn instances<'a>(proposals: &'a [Proposal], found: &[Assigned]) -> Vec<(&'a Proposal, f64)> {
-    let confident = found.iter().take_while(|a| a.score > MIN_DETECTION_SCORE).count();
-    let best = found.iter().take(confident.max(1));
-    best.filter_map(|a| Some((proposals.get(a.proposal)?, a.score))).collect()
+fn instances<'a, M: Matcher>(matcher: &M, found: &'a Segmentation) -> Vec<(&'a Proposal, f64)> {
+    let confident = found.found.iter().take_while(|a| a.score > matcher.instance_score()).count();
+    let best = found.found.iter().take(confident.max(1));
+    best.filter_map(|a| Some((found.proposals.get(a.proposal)?, a.score))).collect()
 }
 
 fn not_found(image: &Path, proposals: usize) -> anyhow::Error {
@@ -214,7 +223,7 @@ fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64
 
 /// The masks of the reference's object in a query view, written to `OUT/mask_N.png`.
 pub fn find_masks(
-    estimator: &PoseEstimator,
+    matcher: &impl Matcher,
     reference: MaskedView,
     files: &ViewFiles,
     out: &Path,
@@ -224,11 +233,10 @@ pub fn find_masks(
         let expected = "at least one measured pixel";
         return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
     }
-    let matcher = GeometricMatcher { estimator };
     let object = matcher.object(&[reference])?;
-    let unoseg = UnoSeg { generator: &EmbeddedProposals, matcher: &matcher };
+    let unoseg = UnoSeg { generator: &EmbeddedProposals, matcher };
     let found = unoseg.segment(&view.frame, None, &[&object])?;
-    let instances = instances(&found.proposals, &found.found);
+    let instances = instances(matcher, &found);
     if instances.is_empty() {
         return Err(not_found(&files.rgb, found.proposals.len()));
     }
@@ -240,63 +248,4 @@ pub fn find_masks(
         masks.push(path);
     }
     Ok(ViewFiles { masks, ..files.clone() })
-}
-
-/// Files of [`segment_dataset`].
-pub struct DatasetFiles {
-    pub dataset: PathBuf,
-    pub split: Option<String>,
-    pub reference_split: Option<String>,
-    pub targets: PathBuf,
-    pub limit: Option<usize>,
-}
-
-/// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first.
-pub fn segment_dataset<M: Matcher>(
-    files: &DatasetFiles,
-    generator: &dyn ProposalGenerator,
-    matcher: &M,
-    out: &Path,
-) -> anyhow::Result<PathBuf> {
-    let dataset = BopDataset::open(&files.dataset)?;
-    let split = match &files.split {
-        Some(name) => dataset.split(name)?,
-        None => dataset.test_split()?,
-    };
-    let other = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
-    let references = other.as_ref().unwrap_or(&split);
-    let mut targets = read_reference_targets(&files.targets)?;
-    targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
-    let unoseg = UnoSeg { generator, matcher };
-    let progress = Progress::new("segmenting");
-    let show = &mut |done, total| progress.set(done, total);
-    let found = segment_targets(&unoseg, &targets, &split, references, &out.join("images"), show)?;
-    progress.finish();
-    for ((scene, image, object), reason) in &found.unusable {
-        eprintln!("reference scene {scene} image {image} object {object}: {reason}");
-    }
-    let path = out.join("detections.json");
-    write_detections(&path, &found.detections)?;
-    write_detections(&out.join("proposals.json"), &found.proposals)?;
-    let mut all = read_targets(&files.targets)?;
-    all.retain(|t| {
-        targets.iter().any(|r| (r.scene_id, r.im_id, r.obj_id) == (t.scene_id, t.im_id, t.obj_id))
-    });
-    let seconds = [found.seconds.as_slice(), &found.proposal_seconds];
-    let scores = score_segmentation(&split, &all, &found.detections, &found.proposals, seconds)?;
-    scores.write(&out.join("scores.json"))?;
-    println!(
-        "segmentation: mAP {:.3}, AP50 {:.3}; proposals: recall {:.3} at 0.5, {:.3} at 0.75 of {} targets, {:.1} per image; \
-         {:.3} s per image, {:.3} s of it proposals",
-        scores.map,
-        scores.detections.ap50,
-        scores.recall50,
-        scores.recall75,
-        scores.n_targets,
-        scores.proposals_per_image,
-        scores.mean_time_per_image_s,
-        scores.mean_proposal_time_per_image_s
-    );
-    println!("{}", path.display());
-    Ok(path)
 }

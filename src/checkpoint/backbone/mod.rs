@@ -5,9 +5,11 @@
 //! ViT-g has SwiGLU layers and is refused.
 
 mod naming;
+mod network;
 mod position;
 
 pub use naming::Naming;
+pub use network::{load_backbone, load_transformer};
 pub use position::Resampling;
 
 use std::{
@@ -16,16 +18,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use burn::{
-    module::Module,
-    tensor::{DType, TensorData},
-};
+use burn::tensor::{DType, TensorData};
 
 use super::{CheckpointError, Mismatch, TensorFile, file::as_f32, fill, stored};
-use crate::{
-    config::{ColorConfig, ModelConfig, VitConfig},
-    model::UnoPose,
-};
 use naming::Target;
 use stored::{Container, Layout, Stored};
 
@@ -79,8 +74,19 @@ pub struct BackboneSizes {
 impl Backbone {
     /// Reads the backbone in a file; `None` when the file holds something else.
     pub fn read(path: &Path) -> Result<Option<Self>, CheckpointError> {
+        match Self::open(path) {
+            Err(CheckpointError::NoBackbone { .. }) => Ok(None),
+            read => read.map(Some),
+        }
+    }
+
+    /// Reads the backbone in a file that must hold one.
+    pub fn open(path: &Path) -> Result<Self, CheckpointError> {
         let container = Container::open(path)?;
-        let Some(place) = container.place(path, &LAYOUT)? else { return Ok(None) };
+        let Some(place) = container.place(path, &LAYOUT)? else {
+            let found = container.describe(path);
+            return Err(CheckpointError::NoBackbone { path: path.to_owned(), found });
+        };
         let (stored, notices) = container.read(path, place)?;
         let naming = Naming::of(stored.iter().map(|tensor| tensor.name.as_str()));
         let mut backbone = Self {
@@ -93,7 +99,7 @@ impl Backbone {
             notices,
         };
         backbone.take(stored)?;
-        Ok(Some(backbone))
+        Ok(backbone)
     }
 
     fn take(&mut self, stored: Vec<Stored>) -> Result<(), CheckpointError> {
@@ -167,84 +173,6 @@ impl Backbone {
             class_position: positions > 0 && side * side != positions,
         }
     }
-
-    /// Parameters of a transformer of `config` for images of `image_size` pixels: the position embedding resampled, and
-    /// the class token's entry of it where `config` has it.
-    fn parameters(&self, config: &VitConfig, image_size: usize) -> BTreeMap<String, TensorData> {
-        let mut tensors = self.tensors.clone();
-        let sizes = self.sizes();
-        let width = sizes.embed_dim;
-        let (Some(class), Some(positions)) = (tensors.get("cls_token"), tensors.get("pos_embed")) else {
-            return tensors;
-        };
-        let (Ok(class), Ok(stored)) = (class.as_slice::<f32>(), positions.as_slice::<f32>()) else {
-            return tensors;
-        };
-        let patches = sizes.side * sizes.side;
-        let first = width * usize::from(sizes.class_position);
-        if class.len() != width || stored.len() != first + patches * width || config.patch_size == 0 {
-            return tensors;
-        }
-        let side = image_size / config.patch_size;
-        let way = Resampling::of(config.position_resampling, self.naming, sizes.register_tokens > 0);
-        let mut grid = way.resample(&stored[first..], sizes.side, side, width);
-        let class_position = if sizes.class_position { stored[..width].to_vec() } else { vec![0.0; width] };
-        if config.no_embed_class {
-            let class = class.iter().zip(&class_position).map(|(c, p)| c + p).collect::<Vec<f32>>();
-            tensors.insert("cls_token".into(), TensorData::new(class, [1, 1, width]));
-        } else {
-            grid.splice(0..0, class_position);
-        }
-        let count = grid.len() / width;
-        tensors.insert("pos_embed".into(), TensorData::new(grid, [1, count, width]));
-        tensors
-    }
-
-    /// Sizes that disagree with the configuration: field, value of the file, value of the configuration.
-    fn differences(&self, config: &VitConfig) -> Vec<(String, String, String)> {
-        let sizes = self.sizes();
-        let heads = match PUBLISHED.iter().any(|&(width, ..)| width == sizes.embed_dim) {
-            true => sizes.embed_dim / 64,
-            false => config.heads,
-        };
-        [
-            ("embed_dim", sizes.embed_dim, config.embed_dim),
-            ("depth", sizes.depth, config.depth),
-            ("heads", heads, config.heads),
-            ("patch_size", sizes.patch_size, config.patch_size),
-            ("register_tokens", sizes.register_tokens, config.register_tokens),
-        ]
-        .into_iter()
-        .filter(|(_, theirs, ours)| theirs != ours)
-        .map(|(field, theirs, ours)| (format!("model.color.{field}"), theirs.to_string(), ours.to_string()))
-        .collect()
-    }
-
-    /// `model` with these weights in its vision transformer. Every size that disagrees and every missing, unknown and
-    /// wrongly shaped tensor is listed in the error.
-    pub fn into_model(self, config: &ModelConfig, mut model: UnoPose) -> Result<UnoPose, CheckpointError> {
-        let net = &mut model.feature_extraction.rgb_net;
-        let (ColorConfig::Vit(vit), Some(network)) = (&config.color, net.vit.take()) else {
-            return Err(CheckpointError::NoTransformer { path: self.path });
-        };
-        let differences = self.differences(vit);
-        let file = TensorFile { tensors: self.parameters(vit, config.image_size), metadata: BTreeMap::new() };
-        let agrees = differences.is_empty() && self.unknown.is_empty();
-        let mismatch = match fill(network, file, &self.path, None) {
-            Ok(network) if agrees => {
-                net.vit = Some(if vit.freeze { network.no_grad() } else { network });
-                return Ok(model);
-            }
-            Ok(_) => Mismatch::default(),
-            Err(CheckpointError::Mismatch { mismatch, .. }) => *mismatch,
-            Err(other) => return Err(other),
-        };
-        let parts = |name: String| self.incomplete.get(&name).cloned().unwrap_or_else(|| vec![name]);
-        let missing = mismatch.missing.into_iter().flat_map(parts).collect();
-        let extra = mismatch.extra.into_iter().chain(self.unknown).collect();
-        let mismatch = Mismatch { config: differences, missing, extra, ..mismatch };
-        Err(CheckpointError::Mismatch { path: self.path, mismatch: Box::new(mismatch) })
-    }
 }
 
 /// Rows of three tensors one after the other.
@@ -256,18 +184,6 @@ fn stacked(parts: [&TensorData; 3]) -> TensorData {
     }
     let bytes = parts.iter().flat_map(|part| part.as_bytes().iter().copied()).collect();
     TensorData::from_bytes_vec(bytes, shape, DType::F32)
-}
-
-/// `model` with the backbone of a file in its vision transformer; notices go to the log.
-pub fn load_backbone(path: &Path, config: &ModelConfig, model: UnoPose) -> Result<UnoPose, CheckpointError> {
-    let Some(backbone) = Backbone::read(path)? else {
-        return Err(CheckpointError::NoBackbone { path: path.to_owned() });
-    };
-    backbone.notices.iter().for_each(|notice| tracing::warn!("{}: {notice}", path.display()));
-    if !backbone.unused.is_empty() {
-        tracing::info!("{}: stored but not used: {}", path.display(), backbone.unused.join(", "));
-    }
-    backbone.into_model(config, model)
 }
 
 impl fmt::Display for BackboneSizes {

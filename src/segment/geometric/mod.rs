@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::{Matcher, Proposal, SegmentError};
 use crate::{
     frame::{Mask, RgbdFrame},
-    infer::{PoseEstimator, Query, Reference},
+    infer::{MIN_DETECTION_SCORE, PoseEstimator, Query, Reference},
     registration::{MaskedView, PairEstimator},
 };
 use consistency::ColoredPoints;
@@ -51,6 +51,11 @@ impl Matcher for GeometricMatcher<'_> {
 
     fn fingerprint(&self) -> String {
         format!("checkpoint 1 {POSED} {DESCRIBED} {}", self.estimator.fingerprint())
+    }
+
+    /// As for given detections.
+    fn instance_score(&self) -> f64 {
+        MIN_DETECTION_SCORE
     }
 
     /// Only the first view is used.
