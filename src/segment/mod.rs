@@ -3,6 +3,7 @@
 //! A [`ProposalGenerator`] finds candidate masks of everything in an image, a [`Matcher`] compares them with the objects
 //! looked for, [`assign`] turns the scores into detections; [`UnoSeg`] is the three together and [`segment_targets`] runs
 //! it on a target list. Without any downloaded weights these are [`EmbeddedProposals`] and [`GeometricMatcher`].
+//! [`SamProposals`] takes published weights of Segment Anything.
 
 mod assignment;
 mod dataset;
@@ -13,6 +14,7 @@ mod listed;
 mod matcher;
 mod prompt;
 mod proposal;
+pub mod sam;
 mod unoseg;
 
 pub use assignment::{Assigned, assign, box_iou, suppressed};
@@ -24,4 +26,5 @@ pub use listed::ListedProposals;
 pub use matcher::Matcher;
 pub use prompt::{Prompt, prompted};
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator};
+pub use sam::SamProposals;
 pub use unoseg::{Segmentation, UnoSeg};

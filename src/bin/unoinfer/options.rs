@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
+use burn::tensor::Device;
 use clap::Args;
 use unopose::{
-    device::DeviceChoice,
+    device::{DeviceChoice, DeviceError},
     infer::{InferError, PoseEstimator, Refinement},
 };
 
@@ -37,6 +38,11 @@ fn probability(text: &str) -> Result<f64, String> {
 }
 
 impl EstimatorOptions {
+    /// The device, for other networks.
+    pub fn device(&self) -> Result<Device, DeviceError> {
+        Ok(self.device.open()?.0)
+    }
+
     pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
         let estimator = match &self.checkpoint {
             Some(path) => PoseEstimator::load(path, self.device)?,

@@ -20,7 +20,7 @@ use unopose::{
     report::overlay,
     segment::{
         Assigned, EmbeddedProposals, GeometricMatcher, ListedProposals, Matcher, Prompt, Proposal,
-        ProposalGenerator, SegmentError, UnoSeg, prompted, segment_targets,
+        ProposalGenerator, SamProposals, SegmentError, UnoSeg, sam::POINTS_PER_SIDE, segment_targets,
     },
 };
 
@@ -73,9 +73,13 @@ pub struct SegmentArguments {
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// Proposals: embedded (from depth and colour), or a list of masks of another segmenter in the COCO/BOP form
+    /// Proposals: embedded (from depth and colour), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
+    /// a list of masks of another segmenter in the COCO/BOP form
     #[arg(long, value_name = "SOURCE", default_value = "embedded")]
     proposals: String,
+    /// With weights of Segment Anything: clicks per side of its grid [default: 32]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=128))]
+    sam_points: Option<u16>,
     /// Folder for masks.json and masks.png, or for detections.json, proposals.json and scores.json
     #[arg(long, value_name = "DIR", default_value = "segment")]
     out: PathBuf,
@@ -84,7 +88,7 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let generator = generator(&arguments.proposals)?;
+    let generator = generator(arguments)?;
     if let (Some(dataset), Some(targets)) = (&arguments.dataset, &arguments.targets) {
         let files = DatasetFiles {
             dataset: dataset.clone(),
@@ -114,30 +118,37 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         return write(&arguments.out, &frame, &instances, found.seconds);
     }
     let start = std::time::Instant::now();
+    if let Some(prompt) = prompt(arguments)? {
+        let chosen = generator.prompted(&frame, prompt)?;
+        let mask = arguments.out.join("mask.png");
+        write_mask(&mask, &chosen.mask)?;
+        println!("{}: {} pixels", mask.display(), chosen.mask.count());
+        let masks = [(&chosen, f64::from(chosen.score))];
+        return write(&arguments.out, &frame, &masks, start.elapsed().as_secs_f64());
+    }
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();
     if proposals.is_empty() {
         return Err(not_found(&path, 0));
     }
-    match prompt(arguments)? {
-        Some(prompt) => {
-            let chosen = prompted(&proposals, prompt, frame.width(), frame.height())?;
-            let mask = arguments.out.join("mask.png");
-            write_mask(&mask, &chosen.mask)?;
-            println!("{}: {} pixels", mask.display(), chosen.mask.count());
-            write(&arguments.out, &frame, &[(&chosen, f64::from(chosen.score))], seconds)
-        }
-        None => {
-            let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
-            write(&arguments.out, &frame, &all, seconds)
-        }
-    }
+    let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
+    write(&arguments.out, &frame, &all, seconds)
 }
 
-fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
-    Ok(match source {
+fn generator(arguments: &SegmentArguments) -> anyhow::Result<Box<dyn ProposalGenerator>> {
+    let path = Path::new(&arguments.proposals);
+    let weights = path.extension().is_some_and(|e| ["pth", "pt", "safetensors"].iter().any(|w| e == *w));
+    if arguments.sam_points.is_some() && !weights {
+        bail!("--sam-points is for weights of Segment Anything in --proposals, which is {}", path.display());
+    }
+    Ok(match arguments.proposals.as_str() {
         "embedded" => Box::new(EmbeddedProposals),
-        path => Box::new(ListedProposals::read(Path::new(path))?),
+        _ if weights => {
+            let sam = SamProposals::load(path, &arguments.estimator.device()?)?;
+            let points = arguments.sam_points.map_or(POINTS_PER_SIDE, usize::from);
+            Box::new(sam.with_points_per_side(points))
+        }
+        _ => Box::new(ListedProposals::read(path)?),
     })
 }
 
