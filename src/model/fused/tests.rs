@@ -2,7 +2,7 @@
 
 use burn::{
     module::Module,
-    tensor::{Device, Distribution, Tensor, activation, module::linear},
+    tensor::{Device, Distribution, Tensor, TensorData, activation, module::linear},
 };
 
 use super::*;
@@ -264,6 +264,10 @@ fn self_attention_equals_its_plain_form() {
     }
 }
 
+fn numbers<const D: usize>(x: &Tensor<D>) -> Vec<f32> {
+    x.to_data().try_to_vec().unwrap()
+}
+
 #[test]
 fn biases_by_position_are_added_to_the_scores() {
     let device = Device::default();
@@ -273,14 +277,11 @@ fn biases_by_position_are_added_to_the_scores() {
         let qkv = random([2, tokens, 3 * heads * d], &device);
         let (rows, columns) = (random([h, h, d], &device), random([w, w, d], &device));
         let [q, k, v] = of_heads(qkv.clone(), heads);
-        let numbers = |x: &Tensor<3>| x.to_data().to_vec::<f32>().unwrap();
         let (by_row, by_column) = (numbers(&rows), numbers(&columns));
         let mut bias = Vec::new();
-        for query in
-            q.to_data().to_vec::<f32>().unwrap().chunks_exact(d).enumerate().map(|(i, q)| (i % tokens, q))
-        {
-            let (t, q) = query;
-            let product = |e: &[f32]| q.iter().zip(e).map(|(a, b)| a * b).sum::<f32>();
+        for (index, query) in numbers(&q).chunks_exact(d).enumerate() {
+            let t = index % tokens;
+            let product = |e: &[f32]| query.iter().zip(e).map(|(a, b)| a * b).sum::<f32>();
             for key in 0..tokens {
                 let row = product(&by_row[(t / w * h + key / w) * d..][..d]);
                 bias.push(row + product(&by_column[(t % w * w + key % w) * d..][..d]));

@@ -66,7 +66,7 @@ mod tests {
         assert_eq!(InputFrame::new(1, 5000, 1024).resized, [1, 1024]);
         let image = RgbImage::from_pixel(4, 2, image::Rgb([255, 0, 104]));
         let device = Device::default();
-        let values = InputFrame::new(4, 2, 8).tensor(&image, &device).to_data().to_vec::<f32>().unwrap();
+        let values = InputFrame::new(4, 2, 8).tensor(&image, &device).to_data().try_to_vec::<f32>().unwrap();
         // Rows 0..4 hold the image, rows 4..8 are padding.
         assert!((values[0] - (255.0 - 123.675) / 58.395).abs() < 1e-6);
         assert!((values[64 + 31] + 116.28 / 57.12).abs() < 1e-6);

@@ -104,3 +104,82 @@ fn refused(path: &Path, shapes: &Shapes, error: SizeError) -> CheckpointError {
         },
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{checkpoint::state_shapes, segment::sam::sizes::EncoderSizes};
+
+    /// Names and shapes of the published networks, by the names that their authors give them.
+    fn published() -> BTreeMap<&'static str, Shapes> {
+        let text = include_str!("../../../tests/fixtures/sam_states.txt");
+        let mut states: BTreeMap<&str, Shapes> = BTreeMap::new();
+        let mut network = "";
+        for line in text.lines() {
+            let mut words = line.split_whitespace();
+            match words.next() {
+                Some("#") => network = words.next().unwrap(),
+                Some(name) => {
+                    let shape = words.map(|n| n.parse().unwrap()).collect();
+                    states.entry(network).or_default().insert(name.into(), shape);
+                }
+                None => {}
+            }
+        }
+        states
+    }
+
+    #[test]
+    fn networks_have_the_published_names_and_shapes() {
+        for (network, name, heads, windowed) in [
+            ("vit_b", "SAM ViT-B", 12, vec![2, 5, 8, 11]),
+            ("vit_l", "SAM ViT-L", 16, vec![5, 11, 17, 23]),
+            ("vit_h", "SAM ViT-H", 16, vec![7, 15, 23, 31]),
+            ("vit_t", "MobileSAM", 0, vec![]),
+        ] {
+            let mut shapes = published().remove(network).unwrap();
+            let all = shapes.len();
+            shapes.retain(|name, _| !UNUSED.iter().any(|part| name.contains(part)));
+            assert!(all > shapes.len() + 9, "{network}: {all} {}", shapes.len());
+            let sizes = SamSizes::of(&shapes).unwrap();
+            assert_eq!((sizes.published(), sizes.image_size), (Some(name), 1024));
+            match &sizes.encoder {
+                EncoderSizes::Vit(vit) => {
+                    assert_eq!((vit.heads, vit.patch_size), (heads, 16));
+                    for (block, window) in vit.windows.iter().enumerate() {
+                        let expected = (!windowed.contains(&block)).then_some(14);
+                        assert_eq!(*window, expected, "{network} block {block}");
+                    }
+                }
+                EncoderSizes::TinyVit(tiny) => {
+                    let stages: Vec<_> =
+                        tiny.attentions.iter().map(|a| (a.stage.depth, a.heads, a.window)).collect();
+                    assert_eq!(stages, [(2, 4, 7), (6, 5, 14), (2, 10, 7)]);
+                }
+            }
+            // No parameter is made: the largest network would take 2.5 GB.
+            assert_eq!(state_shapes(&Sam::new(&sizes, &Device::default())), shapes, "{network}");
+        }
+    }
+
+    #[test]
+    fn sizes_that_contradict_each_other_are_refused_by_name() {
+        let error = |change: &dyn Fn(&mut Shapes)| {
+            let mut shapes = published().remove("vit_b").unwrap();
+            change(&mut shapes);
+            let error = SamSizes::of(&shapes).unwrap_err();
+            refused(Path::new("sam.pth"), &shapes, error).to_string()
+        };
+        let block = "image_encoder.blocks.3.attn.rel_pos_h";
+        let message = error(&|shapes| drop(shapes.remove(block)));
+        assert!(message.contains(&format!("{block} is missing")), "{message}");
+        let message = error(&|shapes| drop(shapes.insert(block.into(), vec![28, 64])));
+        assert!(message.contains(&format!("{block}: shape is [28, 64]")), "{message}");
+        let message =
+            error(&|shapes| drop(shapes.insert("mask_decoder.mask_tokens.weight".into(), vec![4, 250])));
+        assert!(message.contains("mask_tokens.weight: shape is [4, 250]"), "{message}");
+        let message = error(&|shapes| shapes.retain(|name, _| name.starts_with("prompt_encoder.")));
+        let first = "prompt_encoder.mask_downscaling.0.bias [4]";
+        assert!(message.contains("no Segment Anything network") && message.contains(first), "{message}");
+    }
+}
