@@ -41,7 +41,7 @@ pub struct SegmentArguments {
     #[arg(long, value_name = "JSON")]
     camera: Option<PathBuf>,
     /// Write the mask of what is at this pixel, to OUT/mask.png
-    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 1, conflicts_with_all = ["r#box", "dataset"])]
+    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 1, conflicts_with_all = ["box", "dataset"])]
     point: Vec<u32>,
     /// Write the mask of what this box is around, to OUT/mask.png
     #[arg(long, value_name = "X,Y,W,H", value_delimiter = ',', num_args = 1, conflicts_with = "dataset")]

@@ -52,22 +52,16 @@ pub fn linear_onto(
     done.then_some(y)
 }
 
-/// `gelu(x)`, or `x` where it cannot be done here.
-pub fn gelu<const D: usize>(mut x: Tensor<D>) -> Result<Tensor<D>, Tensor<D>> {
-    let done = update(&mut x, RUN, |_, run| vectorised(|| run.iter_mut().for_each(|y| *y = simd::gelu(*y))));
-    if done { Ok(x) } else { Err(x) }
+/// `gelu(x)` in the place of `x`; false leaves `x` as it is.
+pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> bool {
+    update(x, RUN, |_, run| vectorised(|| run.iter_mut().for_each(|y| *y = simd::gelu(*y))))
 }
 
-/// `gelu(layer_norm(x))` over the last axis, or `x` where it cannot be done here.
-pub fn layer_norm_gelu(
-    mut x: Tensor<3>,
-    gamma: &Tensor<1>,
-    beta: &Tensor<1>,
-    epsilon: f64,
-) -> Result<Tensor<3>, Tensor<3>> {
-    let (Some(gamma), Some(beta)) = (Values::of(gamma), Values::of(beta)) else { return Err(x) };
+/// `gelu(layer_norm(x))` over the last axis in the place of `x`; false leaves `x` as it is.
+pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, epsilon: f64) -> bool {
+    let (Some(gamma), Some(beta)) = (Values::of(gamma), Values::of(beta)) else { return false };
     let width = gamma.len();
-    let done = update(&mut x, rows_of(width), |_, run| {
+    update(x, rows_of(width), |_, run| {
         vectorised(|| {
             for row in run.chunks_exact_mut(width) {
                 let mean = sum(row, |y| y) / width as f32;
@@ -77,8 +71,7 @@ pub fn layer_norm_gelu(
                 channels.for_each(|((y, g), b)| *y = simd::gelu(*y * scale * g + b));
             }
         });
-    });
-    if done { Ok(x) } else { Err(x) }
+    })
 }
 
 fn bias(map: &Linear) -> Option<Values> {

@@ -106,9 +106,12 @@ pub fn linear_gelu(x: Tensor<3>, map: &Linear) -> Tensor<3> {
 /// GELU in its exact (erf) form.
 pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     #[cfg(feature = "flex")]
-    let x = match in_place::gelu(x) {
-        Ok(y) => return y,
-        Err(x) => x,
+    let x = {
+        let mut x = x;
+        if in_place::gelu(&mut x) {
+            return x;
+        }
+        x
     };
     activation::gelu(x)
 }
@@ -116,9 +119,12 @@ pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
 /// GELU of the layer norm over the channels, `[B, N, C]`.
 pub fn layer_norm_gelu(x: Tensor<3>, gamma: Tensor<1>, beta: Tensor<1>, epsilon: f64) -> Tensor<3> {
     #[cfg(feature = "flex")]
-    let x = match in_place::layer_norm_gelu(x, &gamma, &beta, epsilon) {
-        Ok(y) => return y,
-        Err(x) => x,
+    let x = {
+        let mut x = x;
+        if in_place::layer_norm_gelu(&mut x, &gamma, &beta, epsilon) {
+            return x;
+        }
+        x
     };
     activation::gelu(layer_norm(x, gamma, Some(beta), epsilon))
 }
@@ -169,16 +175,17 @@ fn of_heads(qkv: Tensor<3>, heads: usize) -> [Tensor<4>; 3] {
 }
 
 /// What is added to the scores of self attention before the softmax.
-pub enum PositionBias {
+#[derive(Clone, Copy)]
+pub enum PositionBias<'a> {
     /// A value for each head and pair of tokens: `[H, T, T]`.
-    Table(Tensor<3>),
+    Table(&'a Tensor<3>),
     /// For tokens of a grid, row by row: the products of the (unscaled) query with embeddings of the query's and the key's
     /// row `[h, h, d]` and of their columns `[w, w, d]`, the same for all heads.
-    Axes { rows: Tensor<3>, columns: Tensor<3> },
+    Axes { rows: &'a Tensor<3>, columns: &'a Tensor<3> },
 }
 
 /// [`self_attention`] with a bias of the scores.
-pub fn positioned_self_attention(qkv: Tensor<3>, heads: usize, bias: &PositionBias) -> Tensor<3> {
+pub fn positioned_self_attention(qkv: Tensor<3>, heads: usize, bias: PositionBias) -> Tensor<3> {
     #[cfg(feature = "flex")]
     if let Some(y) = self_attention::self_attention(&qkv, heads, Some(bias)) {
         return y;

@@ -16,7 +16,7 @@ const KEYS: usize = 512;
 /// Scores are padded to whole vectors.
 const LANES: usize = 16;
 
-pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<&PositionBias>) -> Option<Tensor<3>> {
+pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>) -> Option<Tensor<3>> {
     let [batch, tokens, joint] = qkv.dims();
     let width = joint / 3;
     let values = Values::of(qkv)?;
@@ -69,7 +69,7 @@ enum Bias {
 }
 
 impl Bias {
-    fn of(bias: &PositionBias) -> Option<Self> {
+    fn of(bias: PositionBias) -> Option<Self> {
         Some(match bias {
             PositionBias::Table(table) => Self::Table { values: Values::of(table)?, tokens: table.dims()[2] },
             PositionBias::Axes { rows, columns } => Self::Axes {

@@ -294,11 +294,11 @@ fn biases_by_position_are_added_to_the_scores() {
             read.swap_dims(1, 2).reshape([2, tokens, heads * d])
         };
         close(bias_of_axes(q.clone(), rows.clone(), columns.clone()), bias.clone(), 1e-5, "bias");
-        let axes = PositionBias::Axes { rows, columns };
-        close(positioned_self_attention(qkv.clone(), heads, &axes), attended(bias), 1e-5, "axes");
+        let axes = PositionBias::Axes { rows: &rows, columns: &columns };
+        close(positioned_self_attention(qkv.clone(), heads, axes), attended(bias), 1e-5, "axes");
         let table = random([heads, tokens, tokens], &device) * 2.0;
         let expected = attended(table.clone().unsqueeze());
-        close(positioned_self_attention(qkv, heads, &PositionBias::Table(table)), expected, 1e-5, "table");
+        close(positioned_self_attention(qkv, heads, PositionBias::Table(&table)), expected, 1e-5, "table");
     }
 }
 

@@ -140,11 +140,10 @@ impl Block {
 impl Attention {
     /// Squares of `side x side` tokens, `[B, side^2, C]`.
     fn forward(&self, x: Tensor<3>, side: usize) -> Tensor<3> {
-        let bias = PositionBias::Axes {
-            rows: relative_positions(self.rel_pos_h.val(), side),
-            columns: relative_positions(self.rel_pos_w.val(), side),
-        };
-        self.proj.forward(positioned_self_attention(self.qkv.forward(x), self.heads, &bias))
+        let [rows, columns] =
+            [&self.rel_pos_h, &self.rel_pos_w].map(|offsets| relative_positions(offsets.val(), side));
+        let bias = PositionBias::Axes { rows: &rows, columns: &columns };
+        self.proj.forward(positioned_self_attention(self.qkv.forward(x), self.heads, bias))
     }
 }
 

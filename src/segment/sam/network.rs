@@ -24,7 +24,9 @@ pub struct Sam {
     image_size: usize,
 }
 
+/// One of the two image encoders.
 #[derive(Module, Debug)]
+#[allow(clippy::large_enum_variant)] // There is one of it in a network.
 pub enum ImageEncoder {
     Vit(ImageEncoderVit),
     TinyVit(TinyVit),

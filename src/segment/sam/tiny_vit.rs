@@ -236,8 +236,9 @@ impl Attention {
         let x = self.norm.forward(x);
         let [heads, _] = self.attention_biases.dims();
         let (weight, bias) = self.joint_projection(heads);
-        let bias_table = PositionBias::Table(self.bias_table(side));
-        self.proj.forward(positioned_self_attention(linear_map(x, weight, bias), heads, &bias_table))
+        let table = self.bias_table(side);
+        let qkv = linear_map(x, weight, bias);
+        self.proj.forward(positioned_self_attention(qkv, heads, PositionBias::Table(&table)))
     }
 
     /// The joint projection with all queries first, then all keys, then all values: `[C, 3 C]` and `[3 C]`.
