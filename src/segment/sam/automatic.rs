@@ -105,7 +105,7 @@ fn of_clicks(
             continue;
         }
         let logits = numbers(network.masks(image, &decoded, prompt, 1..count));
-        let masks = overlaps.iter().zip(logits.chunks_exact(logits.len() / overlaps.len()));
+        let masks = overlaps.iter().zip(logits.chunks_exact((logits.len() / overlaps.len()).max(1)));
         good.extend(masks.filter(|(iou, _)| **iou > MIN_IOU).map(|(&iou, logits)| (iou, logits.to_vec())));
     }
     let Some(low) = good.first().map(|(_, logits)| logits.len().isqrt()) else { return Vec::new() };
