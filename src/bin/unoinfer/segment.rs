@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use unopose::{
+    device::keep_freed_memory,
     eval::score_segmentation,
     formats::{
         BopDataset, FormatError,
@@ -144,6 +145,8 @@ fn generator(arguments: &SegmentArguments) -> anyhow::Result<Box<dyn ProposalGen
     Ok(match arguments.proposals.as_str() {
         "embedded" => Box::new(EmbeddedProposals),
         _ if weights => {
+            // Every batch of clicks takes and frees hundreds of megabytes.
+            keep_freed_memory();
             let sam = SamProposals::load(path, &arguments.estimator.device()?)?;
             let points = arguments.sam_points.map_or(POINTS_PER_SIDE, usize::from);
             Box::new(sam.with_points_per_side(points))
