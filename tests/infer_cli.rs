@@ -296,7 +296,11 @@ fn descriptors_and_templates_are_refused_where_they_have_no_use() {
     };
     refused("segment", &["--templates"], "--descriptor");
     refused("eval", &["--descriptor", &weights, "--detections", "d.json"], "cannot be used with");
-    refused("bench", &["--descriptor", &weights], "--descriptor and --proposals are for --detections unoseg");
+    refused(
+        "bench",
+        &["--descriptor", &weights],
+        "--descriptor, --proposals and --sam-points are for --detections unoseg",
+    );
     // A checkpoint of this program is no DINOv2.
     refused("segment", &["--descriptor", &weights, "--templates", "42"], "holds no DINOv2 backbone");
 }

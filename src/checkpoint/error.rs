@@ -26,6 +26,11 @@ pub enum CheckpointError {
     )]
     NoBackbone { path: PathBuf, found: String },
     #[error(
+        "{} holds no Segment Anything network (image_encoder.*, prompt_encoder.* and mask_decoder.* as in sam_vit_*.pth or \
+         mobile_sam.pt); found {found}", path.display()
+    )]
+    NoSam { path: PathBuf, found: String },
+    #[error(
         "{} is a backbone with SwiGLU feed-forward layers ({name}), as DINOv2's ViT-g; ViT-S, ViT-B and ViT-L can be used",
         path.display()
     )]

@@ -10,13 +10,18 @@
 mod backbone;
 mod error;
 mod file;
+mod named;
 mod official;
+mod shapes;
 mod stored;
 
 pub use backbone::{Backbone, BackboneSizes, Naming, Resampling, load_backbone, load_transformer};
 pub use error::{CheckpointError, Mismatch};
 pub use file::TensorFile;
+pub(crate) use named::{NamedTensors, contents};
 pub use official::{OfficialSizes, OfficialState, export_official, load_official};
+pub use shapes::state_shapes;
+pub(crate) use stored::Layout;
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -129,17 +134,37 @@ pub fn read_config(path: &Path) -> Result<Config, CheckpointError> {
 }
 
 fn fill<M: Module>(
-    mut model: M,
+    model: M,
     file: TensorFile,
     path: &Path,
     ours: Option<&ModelConfig>,
 ) -> Result<M, CheckpointError> {
-    let own = shapes_of(&model);
+    // The configuration inside explains the tensors; a file without a readable one is judged by them alone.
+    let theirs = ours.and_then(|ours| Some((ours, config_of(&file, path).ok()??.model)));
+    // Statistics of a forward pass that are still to be merged would overwrite the loaded ones: merge them now.
+    drop(model.valid());
+    fill_with(model, file.tensors, path).map_err(|error| match (error, theirs) {
+        (CheckpointError::Mismatch { path, mut mismatch }, Some((ours, theirs))) => {
+            mismatch.config = differences(&theirs, ours);
+            CheckpointError::Mismatch { path, mismatch }
+        }
+        (error, _) => error,
+    })
+}
+
+/// `model` with exactly these tensors. Every missing, unknown and wrongly shaped one is listed in the error; parameters
+/// that do not exist yet are not made first.
+pub(crate) fn fill_with<M: Module>(
+    mut model: M,
+    tensors: BTreeMap<String, TensorData>,
+    path: &Path,
+) -> Result<M, CheckpointError> {
+    let own = state_shapes(&model);
     let mut mismatch = Mismatch {
-        missing: own.keys().filter(|name| !file.tensors.contains_key(*name)).cloned().collect(),
+        missing: own.keys().filter(|name| !tensors.contains_key(*name)).cloned().collect(),
         ..Mismatch::default()
     };
-    for (name, data) in &file.tensors {
+    for (name, data) in &tensors {
         match own.get(name) {
             None => mismatch.extra.push(name.clone()),
             Some(shape) if shape[..] != data.shape()[..] => {
@@ -149,15 +174,9 @@ fn fill<M: Module>(
         }
     }
     if !mismatch.fits() {
-        // The configuration inside explains the tensors; a file without a readable one is judged by them alone.
-        if let (Some(ours), Ok(Some(theirs))) = (ours, config_of(&file, path)) {
-            mismatch.config = differences(&theirs.model, ours);
-        }
         return Err(CheckpointError::Mismatch { path: path.to_owned(), mismatch: Box::new(mismatch) });
     }
-    // Statistics of a forward pass that are still to be merged would overwrite the loaded ones: merge them now.
-    drop(model.valid());
-    let tensors = file.tensors.into_iter().map(|(name, data)| bridge::from_data(data, name, None)).collect();
+    let tensors = tensors.into_iter().map(|(name, data)| bridge::from_data(data, name, None)).collect();
     let result = model.apply(tensors, None, Some(Box::new(PyTorchToBurnAdapter)), true);
     match result.errors.first() {
         Some(error) => Err(CheckpointError::Format { path: path.to_owned(), message: error.to_string() }),
@@ -197,11 +216,6 @@ pub fn checksum<M: Module>(model: &M) -> Result<u32, CheckpointError> {
         hasher.update(data.as_bytes());
     }
     Ok(hasher.finalize())
-}
-
-fn shapes_of<M: Module>(model: &M) -> BTreeMap<String, Vec<usize>> {
-    let tensors = model.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
-    tensors.into_iter().map(|tensor| (tensor.name.clone(), tensor.shape.to_vec())).collect()
 }
 
 fn config_of(file: &TensorFile, path: &Path) -> Result<Option<Config>, CheckpointError> {

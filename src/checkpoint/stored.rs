@@ -20,7 +20,7 @@ pub(super) struct Stored {
 }
 
 /// How the tensors of one kind of network are found among others.
-pub(super) struct Layout {
+pub(crate) struct Layout {
     /// First parts of their names, one of which is enough.
     pub parts: &'static [&'static str],
     /// Prefixes that they may have.
@@ -60,6 +60,17 @@ impl Container {
         };
         names.sort();
         Ok(names)
+    }
+
+    fn shape(&self, path: &Path, name: &str) -> Result<Vec<usize>, CheckpointError> {
+        match self {
+            Self::Safetensors(bytes) => {
+                let file = SafeTensors::deserialize(bytes).map_err(|e| format(path, &e))?;
+                let view = file.tensor(name).map_err(|e| format(path, &e))?;
+                Ok(view.shape().to_vec())
+            }
+            Self::Pickled(tensors) => Ok(tensors.get(name).map(|t| t.shape().to_vec()).unwrap_or_default()),
+        }
     }
 
     /// The prefix under which the file has tensors of this layout.
@@ -116,7 +127,8 @@ impl Container {
     pub fn describe(&self, path: &Path) -> String {
         match (self.names(path), self) {
             (Ok(names), _) if !names.is_empty() => {
-                format!("{} tensors, the first is {}", names.len(), names[0])
+                let shape = self.shape(path, &names[0]).unwrap_or_default();
+                format!("{} tensors, the first is {} {shape:?}", names.len(), names[0])
             }
             (_, Self::Safetensors(_)) => "no tensors".into(),
             (_, Self::Pickled(_)) => pickled_contents(path),

@@ -8,7 +8,7 @@ mod attention;
 mod batch_norm;
 mod conv_encoder;
 mod feature_extraction;
-mod fused;
+pub(crate) mod fused;
 mod geo_embedding;
 mod init;
 mod linear_attention;

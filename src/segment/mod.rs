@@ -4,6 +4,7 @@
 //! looked for, [`assign`] turns the scores into detections; [`UnoSeg`] is the three together and [`segment_targets`] runs
 //! it on a target list. Without any downloaded weights these are [`EmbeddedProposals`] and [`GeometricMatcher`];
 //! [`DinoMatcher`] compares by published DINOv2 weights, also with [`Templates`] of a CAD model.
+//! [`SamProposals`] takes published weights of Segment Anything.
 
 mod assignment;
 mod choice;
@@ -17,6 +18,7 @@ mod matcher;
 mod objects;
 mod prompt;
 mod proposal;
+pub mod sam;
 mod templates;
 mod unoseg;
 
@@ -32,5 +34,6 @@ pub use matcher::Matcher;
 pub use objects::{ObjectKey, ObjectViews};
 pub use prompt::{Prompt, prompted};
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator};
+pub use sam::SamProposals;
 pub use templates::Templates;
 pub use unoseg::{Segmentation, UnoSeg};

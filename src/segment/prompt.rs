@@ -16,6 +16,31 @@ pub enum Prompt {
     Box(BoundingBox),
 }
 
+impl Prompt {
+    /// Refuses a prompt that is not inside an image of this size, and an empty box.
+    pub fn check(self, width: u32, height: u32) -> Result<(), SegmentError> {
+        let inside = match self {
+            Self::Point(col, row) => col < width && row < height,
+            Self::Box(b) => {
+                b.col_min < b.col_max && b.row_min < b.row_max && b.col_max <= width && b.row_max <= height
+            }
+        };
+        let size = || format!("inside the image of {width} x {height} pixels");
+        if inside { Ok(()) } else { Err(self.refused(size())) }
+    }
+
+    pub(super) fn refused(self, expected: String) -> SegmentError {
+        let (what, value) = match self {
+            Self::Point(col, row) => ("point", format!("{col},{row}")),
+            Self::Box(BoundingBox { col_min, row_min, col_max, row_max }) => {
+                let (w, h) = (col_max.saturating_sub(col_min), row_max.saturating_sub(row_min));
+                ("box", format!("{col_min},{row_min},{w},{h}"))
+            }
+        };
+        SegmentError::Prompt { what, value, expected }
+    }
+}
+
 /// The mask that a prompt means: the best proposal under the click, or the union of what is inside the box.
 pub fn prompted(
     proposals: &[Proposal],
@@ -23,31 +48,19 @@ pub fn prompted(
     width: u32,
     height: u32,
 ) -> Result<Proposal, SegmentError> {
-    let size = format!("inside the image of {width} x {height} pixels");
+    prompt.check(width, height)?;
     match prompt {
         Prompt::Point(col, row) => {
-            let value = format!("{col},{row}");
-            if col >= width || row >= height {
-                return Err(SegmentError::Prompt { what: "point", value, expected: size });
-            }
             let here = proposals.iter().filter(|p| p.mask.get(col, row));
             here.max_by(|a, b| a.score.total_cmp(&b.score)).cloned().ok_or_else(|| {
-                let expected = format!("on an object: none of {} proposals covers it", proposals.len());
-                SegmentError::Prompt { what: "point", value, expected }
+                prompt.refused(format!("on an object: none of {} proposals covers it", proposals.len()))
             })
         }
         Prompt::Box(bounds) => {
-            let BoundingBox { col_min, row_min, col_max, row_max } = bounds;
-            let (w, h) = (col_max.saturating_sub(col_min), row_max.saturating_sub(row_min));
-            let value = format!("{col_min},{row_min},{w},{h}");
-            if col_max > width || row_max > height || w == 0 || h == 0 {
-                return Err(SegmentError::Prompt { what: "box", value, expected: size });
-            }
             let union = union_inside(proposals, &bounds, width, height);
             let overlap = union.as_ref().map_or(0.0, |p| box_iou(&p.bounds, &bounds));
             union.filter(|_| overlap >= MIN_BOX_OVERLAP).ok_or_else(|| {
-                let expected = format!("a box around an object: what is inside overlaps it by {overlap:.2}");
-                SegmentError::Prompt { what: "box", value, expected }
+                prompt.refused(format!("a box around an object: what is inside overlaps it by {overlap:.2}"))
             })
         }
     }

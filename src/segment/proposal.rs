@@ -1,6 +1,6 @@
 //! Candidate masks of an image and what makes them.
 
-use super::SegmentError;
+use super::{Prompt, SegmentError, prompted};
 use crate::frame::{BoundingBox, Mask, RgbdFrame};
 
 /// Proposals per image at most.
@@ -37,4 +37,14 @@ pub trait ProposalGenerator: Send + Sync {
     }
 
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
+
+    /// The mask that a click or a box means: one of the proposals, or their union.
+    fn prompted(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
+        prompt.check(frame.width(), frame.height())?;
+        let proposals = self.proposals(frame, None)?;
+        if proposals.is_empty() {
+            return Err(SegmentError::NotFound { image: "the image".into(), proposals: 0 });
+        }
+        prompted(&proposals, prompt, frame.width(), frame.height())
+    }
 }

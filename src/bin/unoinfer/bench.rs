@@ -23,7 +23,7 @@ use unopose::{
 
 use super::{
     progress::Progress,
-    segment::generator,
+    proposals::{EMBEDDED, check_sam_points, generator},
     segment_dataset::{DatasetFiles, segment_dataset},
 };
 
@@ -66,9 +66,13 @@ pub struct BenchArguments {
     #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
     detections: PathBuf,
     /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
-    /// colour), or a list of masks of another segmenter in the COCO/BOP form [default: embedded]
+    /// colour), weights of Segment Anything or MobileSAM, or a list of masks of another segmenter in the COCO/BOP form
+    /// [default: embedded]
     #[arg(long, value_name = "SOURCES", value_delimiter = ',')]
     proposals: Vec<String>,
+    /// With weights of Segment Anything: clicks per side of its grid [default: 32]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=128))]
+    sam_points: Option<u16>,
     /// DINOv2 weights by which unoseg compares proposals with the reference [default: the first checkpoint compares]
     #[arg(long, value_name = "FILE")]
     descriptor: Option<PathBuf>,
@@ -184,8 +188,8 @@ fn segmentations(arguments: &BenchArguments) -> anyhow::Result<(Vec<OwnMasks>, V
         }
         _ => Segmentation::File(arguments.detections.clone()),
     };
-    if arguments.descriptor.is_some() || !arguments.proposals.is_empty() {
-        bail!("--descriptor and --proposals are for --detections unoseg");
+    if arguments.descriptor.is_some() || !arguments.proposals.is_empty() || arguments.sam_points.is_some() {
+        bail!("--descriptor, --proposals and --sam-points are for --detections unoseg");
     }
     Ok((Vec::new(), vec![given]))
 }
@@ -197,10 +201,13 @@ fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
     if matches!(arguments.protocol, ProtocolName::Rendered) {
         bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
     }
-    let sources = match arguments.proposals.as_slice() {
-        [] => vec![generator("embedded")?],
-        sources => sources.iter().map(|source| generator(source)).collect::<Result<_, _>>()?,
+    let sources: Vec<&str> = match arguments.proposals.as_slice() {
+        [] => vec![EMBEDDED],
+        sources => sources.iter().map(String::as_str).collect(),
     };
+    check_sam_points(arguments.sam_points, &sources)?;
+    let sources = sources.into_iter().map(|source| generator(source, arguments.sam_points, arguments.device));
+    let sources: Vec<_> = sources.collect::<Result<_, _>>()?;
     let names: BTreeSet<String> = sources.iter().map(|source| source.name()).collect();
     if names.len() < sources.len() {
         bail!("--proposals has several sources of one name among {names:?}, expected different ones");

@@ -10,11 +10,12 @@ use clap::{Args, ValueEnum};
 use unopose::{
     checkpoint::{self, Backbone, OfficialState, TensorFile},
     device::DeviceChoice,
+    segment::sam::SamCheckpoint,
 };
 
 #[derive(Args)]
 pub struct InspectArguments {
-    /// Checkpoint of unotrain, official state, or DINOv2 backbone (safetensors, or PyTorch .pth/.pt)
+    /// Checkpoint of unotrain, official state, DINOv2 backbone or Segment Anything (safetensors, or PyTorch .pth/.pt)
     file: PathBuf,
     /// Also list every tensor
     #[arg(long)]
@@ -39,13 +40,16 @@ enum Form {
 }
 
 /// The networks' parts, whose numbers are counted apart.
-const PARTS: [&str; 6] = [
+const PARTS: [&str; 9] = [
     "feature_extraction",
     "geo_embedding",
     "coarse_point_matching",
     "fine_point_matching",
     "patch_embed",
     "blocks",
+    "image_encoder",
+    "prompt_encoder",
+    "mask_decoder",
 ];
 
 pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
@@ -58,11 +62,17 @@ pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
                 write!(out, "{}", describe(&backbone))?;
                 (backbone.tensors, "DINOv2 backbone")
             }
-            None => {
-                let state = OfficialState::read(path)?;
-                write!(out, "{}{}", notes(&state.notices, &state.unused), state.sizes())?;
-                (state.tensors, "official state of the PyTorch release")
-            }
+            None => match SamCheckpoint::read(path)? {
+                Some(sam) => {
+                    write!(out, "{}{}", notes(&sam.notices, &sam.unused), sam.sizes)?;
+                    (sam.tensors, "Segment Anything")
+                }
+                None => {
+                    let state = OfficialState::read(path)?;
+                    write!(out, "{}{}", notes(&state.notices, &state.unused), state.sizes())?;
+                    (state.tensors, "official state of the PyTorch release")
+                }
+            },
         },
     };
     writeln!(out, "kind: {kind}")?;

@@ -15,10 +15,10 @@ use unopose::{
     infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder},
     registration::MaskedView,
     report::{explain, overlay},
-    segment::AnyMatcher,
+    segment::{AnyMatcher, UnoSeg},
 };
 
-use super::{options::EstimatorOptions, progress::Progress, segment::find_masks};
+use super::{options::EstimatorOptions, progress::Progress, proposals::ProposalOptions, segment::find_masks};
 
 /// Colours of the instances' points.
 const COLORS: [Rgb<u8>; 6] = [
@@ -40,12 +40,14 @@ pub struct EstimateArguments {
     query_depth: Option<PathBuf>,
     /// Mask of an instance in the query; several times for several instances [default: found by segmentation, exit code
     /// 3 when the object is not there]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "ProposalOptions")]
     query_mask: Vec<PathBuf>,
     /// DINOv2 weights by which the object is found without --query-mask: ViT-S, B or L with or without registers,
     /// safetensors or PyTorch [default: the pose network's checkpoint finds it]
     #[arg(long, value_name = "FILE", conflicts_with = "query_mask")]
     descriptor: Option<PathBuf>,
+    #[command(flatten)]
+    proposals: ProposalOptions,
     /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
     /// when it is not --camera; results go to OUT/NAME/
     #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
@@ -82,7 +84,9 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let queries = queries(arguments)?;
     let estimator = arguments.estimator.estimator()?;
     let (reference, view) = reference(arguments, &estimator)?;
+    let generator = arguments.proposals.generator(arguments.estimator.device())?;
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+    let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
 
     let progress = Progress::new("estimating");
     let mut failed = Vec::new();
@@ -93,7 +97,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
             (false, _) => Ok(Cow::Borrowed(files)),
             (true, Some(view)) => {
                 let masked = MaskedView { frame: &view.frame, mask: &view.masks[0] };
-                find_masks(&matcher, masked, files, &out).map(Cow::Owned)
+                find_masks(&unoseg, masked, files, &out).map(Cow::Owned)
             }
             (true, None) => {
                 bail!("--query-mask is missing: a kept reference has no image to find the object by")

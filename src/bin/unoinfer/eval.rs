@@ -6,12 +6,13 @@ use clap::{Args, ValueEnum};
 use unopose::{
     eval::{score_poses, write_poses},
     infer::{ReferenceColor, Refinement, TargetFiles, TargetList, estimate_targets},
-    segment::{AnyMatcher, EmbeddedProposals},
+    segment::AnyMatcher,
 };
 
 use super::{
     options::EstimatorOptions,
     progress::Progress,
+    proposals::ProposalOptions,
     score,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
@@ -31,15 +32,22 @@ pub struct EvalArguments {
     #[arg(long, value_name = "JSON")]
     targets: PathBuf,
     /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
-    #[arg(long, value_name = "JSON", required_unless_present = "segmentation")]
+    #[arg(
+        long,
+        value_name = "JSON",
+        required_unless_present = "segmentation",
+        conflicts_with = "ProposalOptions"
+    )]
     detections: Option<PathBuf>,
-    /// Where the masks come from instead of --detections: unoseg (proposals from depth and colour, matched by --descriptor
-    /// or the checkpoint); written to OUT/segmentation
+    /// Where the masks come from instead of --detections: unoseg (--proposals, matched by --descriptor or the
+    /// checkpoint); written to OUT/segmentation
     #[arg(long, conflicts_with = "detections")]
     segmentation: Option<Segmentation>,
     /// DINOv2 weights by which --segmentation compares proposals with the reference [default: the checkpoint compares]
     #[arg(long, value_name = "FILE", conflicts_with = "detections")]
     descriptor: Option<PathBuf>,
+    #[command(flatten)]
+    proposals: ProposalOptions,
     /// Folder for the result table, scores.json, errors.json and rejected.json
     #[arg(long, value_name = "DIR", default_value = "eval")]
     out: PathBuf,
@@ -83,7 +91,8 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
                 templates: None,
             };
             let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
-            segment_dataset(&files, &EmbeddedProposals, &matcher, &arguments.out.join("segmentation"))?.0
+            let generator = arguments.proposals.generator(arguments.estimator.device())?;
+            segment_dataset(&files, generator.as_ref(), &matcher, &arguments.out.join("segmentation"))?.0
         }
     };
     let list = TargetList::open(&TargetFiles {

@@ -8,6 +8,7 @@ mod estimate;
 mod eval;
 mod options;
 mod progress;
+mod proposals;
 mod score;
 mod segment;
 mod segment_dataset;

@@ -37,6 +37,11 @@ fn probability(text: &str) -> Result<f64, String> {
 }
 
 impl EstimatorOptions {
+    /// For other networks than the estimator's.
+    pub fn device(&self) -> DeviceChoice {
+        self.device
+    }
+
     pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
         let estimator = match &self.checkpoint {
             Some(path) => PoseEstimator::load(path, self.device)?,

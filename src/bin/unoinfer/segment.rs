@@ -16,14 +16,12 @@ use unopose::{
     infer::ViewFiles,
     registration::MaskedView,
     report::overlay,
-    segment::{
-        AnyMatcher, EmbeddedProposals, ListedProposals, Matcher, Prompt, Proposal, ProposalGenerator,
-        SegmentError, Segmentation, UnoSeg, prompted,
-    },
+    segment::{AnyMatcher, Matcher, Prompt, Proposal, SegmentError, Segmentation, UnoSeg},
 };
 
 use super::{
     options::EstimatorOptions,
+    proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
 
@@ -78,9 +76,8 @@ pub struct SegmentArguments {
     /// With --dataset and --descriptor: N templates of each object's CAD model instead of its reference view (12, 42 or 162)
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "42", requires = "descriptor", conflicts_with = "rgb")]
     templates: Option<usize>,
-    /// Proposals: embedded (from depth and colour), or a list of masks of another segmenter in the COCO/BOP form
-    #[arg(long, value_name = "SOURCE", default_value = "embedded")]
-    proposals: String,
+    #[command(flatten)]
+    proposals: ProposalOptions,
     /// Folder for masks.json and masks.png, or for detections.json, proposals.json and scores.json
     #[arg(long, value_name = "DIR", default_value = "segment")]
     out: PathBuf,
@@ -89,7 +86,7 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let generator = generator(&arguments.proposals)?;
+    let generator = arguments.proposals.generator(arguments.estimator.device())?;
     if let (Some(dataset), Some(targets)) = (&arguments.dataset, &arguments.targets) {
         let files = DatasetFiles {
             dataset: dataset.clone(),
@@ -123,31 +120,21 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         bail!("--descriptor compares with a reference: expected --reference-rgb or --dataset");
     }
     let start = std::time::Instant::now();
+    if let Some(prompt) = prompt(arguments)? {
+        let chosen = generator.prompted(&frame, prompt)?;
+        let mask = arguments.out.join("mask.png");
+        write_mask(&mask, &chosen.mask)?;
+        println!("{}: {} pixels", mask.display(), chosen.mask.count());
+        let masks = [(&chosen, f64::from(chosen.score))];
+        return write(&arguments.out, &frame, &masks, start.elapsed().as_secs_f64());
+    }
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();
     if proposals.is_empty() {
         return Err(not_found(&path, 0));
     }
-    match prompt(arguments)? {
-        Some(prompt) => {
-            let chosen = prompted(&proposals, prompt, frame.width(), frame.height())?;
-            let mask = arguments.out.join("mask.png");
-            write_mask(&mask, &chosen.mask)?;
-            println!("{}: {} pixels", mask.display(), chosen.mask.count());
-            write(&arguments.out, &frame, &[(&chosen, f64::from(chosen.score))], seconds)
-        }
-        None => {
-            let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
-            write(&arguments.out, &frame, &all, seconds)
-        }
-    }
-}
-
-pub fn generator(source: &str) -> anyhow::Result<Box<dyn ProposalGenerator>> {
-    Ok(match source {
-        "embedded" => Box::new(EmbeddedProposals),
-        path => Box::new(ListedProposals::read(Path::new(path))?),
-    })
+    let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
+    write(&arguments.out, &frame, &all, seconds)
 }
 
 /// The image, with zero depth where there is no depth image.
@@ -223,7 +210,7 @@ fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64
 
 /// The masks of the reference's object in a query view, written to `OUT/mask_N.png`.
 pub fn find_masks(
-    matcher: &impl Matcher,
+    unoseg: &UnoSeg<'_, impl Matcher>,
     reference: MaskedView,
     files: &ViewFiles,
     out: &Path,
@@ -233,10 +220,9 @@ pub fn find_masks(
         let expected = "at least one measured pixel";
         return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
     }
-    let object = matcher.object(&[reference])?;
-    let unoseg = UnoSeg { generator: &EmbeddedProposals, matcher };
+    let object = unoseg.matcher.object(&[reference])?;
     let found = unoseg.segment(&view.frame, None, &[&object])?;
-    let instances = instances(matcher, &found);
+    let instances = instances(unoseg.matcher, &found);
     if instances.is_empty() {
         return Err(not_found(&files.rgb, found.proposals.len()));
     }

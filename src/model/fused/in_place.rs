@@ -7,7 +7,7 @@ use burn::{
 };
 use rayon::prelude::*;
 
-use super::tape::Values;
+use super::{layer_norm::sum, tape::Values};
 use crate::simd::{self, vectorised};
 
 /// Values per parallel task.
@@ -52,6 +52,28 @@ pub fn linear_onto(
     done.then_some(y)
 }
 
+/// `gelu(x)` in the place of `x`; false leaves `x` as it is.
+pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> bool {
+    update(x, RUN, |_, run| vectorised(|| run.iter_mut().for_each(|y| *y = simd::gelu(*y))))
+}
+
+/// `gelu(layer_norm(x))` over the last axis in the place of `x`; false leaves `x` as it is.
+pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, epsilon: f64) -> bool {
+    let (Some(gamma), Some(beta)) = (Values::of(gamma), Values::of(beta)) else { return false };
+    let width = gamma.len();
+    update(x, rows_of(width), |_, run| {
+        vectorised(|| {
+            for row in run.chunks_exact_mut(width) {
+                let mean = sum(row, |y| y) / width as f32;
+                row.iter_mut().for_each(|y| *y -= mean);
+                let scale = 1.0 / (sum(row, |y| y * y) / width as f32 + epsilon as f32).sqrt();
+                let channels = row.iter_mut().zip(&*gamma).zip(&*beta);
+                channels.for_each(|((y, g), b)| *y = simd::gelu(*y * scale * g + b));
+            }
+        });
+    })
+}
+
 fn bias(map: &Linear) -> Option<Values> {
     Values::of(&map.bias.as_ref()?.val())
 }
@@ -63,14 +85,14 @@ fn rows_of(width: usize) -> usize {
 
 /// Runs `work` over the values of `x` in runs of `run`, each with its number; false leaves `x` as it is: on the tape, on
 /// another backend or of another number type.
-fn update(x: &mut Tensor<3>, run: usize, work: impl Fn(usize, &mut [f32]) + Sync) -> bool {
+fn update<const D: usize>(x: &mut Tensor<D>, run: usize, work: impl Fn(usize, &mut [f32]) + Sync) -> bool {
     let count = x.shape().num_elements();
     let Ok(mut values) = x.clone().try_into_primitive::<Flex>() else { return false };
     if values.dtype() != DType::F32 {
         return false;
     }
     // Only the last holder of the values may write to them: `x` lets go.
-    *x = Tensor::from_primitive::<Flex>(FlexTensor::empty(Shape::from([0; 3]), DType::F32));
+    *x = Tensor::from_primitive::<Flex>(FlexTensor::empty(Shape::from([0; D]), DType::F32));
     if !values.is_contiguous() || values.bytes().len() != 4 * count {
         values = values.to_contiguous();
     }

@@ -61,7 +61,7 @@ fn forward(x: &[f32], residual: &[f32], gamma: &[f32], beta: &[f32], epsilon: f3
 
 /// Sum of `f(value)` in 16 independent lanes.
 #[inline(always)]
-fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
+pub(super) fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
     let (runs, rest) = values.as_chunks::<16>();
     let mut lanes = [0.0f32; 16];
     for run in runs {

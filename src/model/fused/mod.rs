@@ -31,7 +31,7 @@ use burn::{
     nn::{LayerNorm, Linear},
     tensor::{
         Int, Tensor, activation,
-        module::{attention, linear},
+        module::{attention, layer_norm, linear},
         ops::AttentionModuleOptions,
     },
 };
@@ -103,6 +103,32 @@ pub fn linear_gelu(x: Tensor<3>, map: &Linear) -> Tensor<3> {
     activation::gelu(map.forward(x))
 }
 
+/// GELU in its exact (erf) form.
+pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+    #[cfg(feature = "flex")]
+    let x = {
+        let mut x = x;
+        if in_place::gelu(&mut x) {
+            return x;
+        }
+        x
+    };
+    activation::gelu(x)
+}
+
+/// GELU of the layer norm over the channels, `[B, N, C]`.
+pub fn layer_norm_gelu(x: Tensor<3>, gamma: Tensor<1>, beta: Tensor<1>, epsilon: f64) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    let x = {
+        let mut x = x;
+        if in_place::layer_norm_gelu(&mut x, &gamma, &beta, epsilon) {
+            return x;
+        }
+        x
+    };
+    activation::gelu(layer_norm(x, gamma, Some(beta), epsilon))
+}
+
 /// `residual + gamma map(x)` with a scale per channel, `[B, N, C]`.
 pub fn linear_onto(residual: Tensor<3>, x: Tensor<3>, map: &Linear, gamma: Tensor<1>) -> Tensor<3> {
     #[cfg(feature = "flex")]
@@ -129,17 +155,67 @@ pub fn focus_cubed(x: Tensor<3>, scale: Tensor<3>, epsilon: f64) -> Tensor<3> {
 /// heads one after the other in each): `[B, T, C]`.
 pub fn self_attention(qkv: Tensor<3>, heads: usize) -> Tensor<3> {
     #[cfg(feature = "flex")]
-    if let Some(y) = self_attention::self_attention(&qkv, heads) {
+    if let Some(y) = self_attention::self_attention(&qkv, heads, None) {
         return y;
     }
-    let [batch, tokens, width] = qkv.dims();
-    let width = width / 3;
-    let part = |index: usize| {
+    let [batch, tokens, joint] = qkv.dims();
+    let [q, k, v] = of_heads(qkv, heads);
+    let out = attention(q, k, v, None, None, AttentionModuleOptions::default());
+    out.swap_dims(1, 2).reshape([batch, tokens, joint / 3])
+}
+
+/// Query, key and value `[B, H, T, d]` from joint projections `[B, T, 3 C]`.
+fn of_heads(qkv: Tensor<3>, heads: usize) -> [Tensor<4>; 3] {
+    let [batch, tokens, joint] = qkv.dims();
+    let width = joint / 3;
+    std::array::from_fn(|index| {
         let part = qkv.clone().narrow(2, index * width, width);
-        part.reshape([batch, tokens, heads, width / heads]).swap_dims(1, 2) // [B, H, T, d]
-    };
-    let out = attention(part(0), part(1), part(2), None, None, AttentionModuleOptions::default());
-    out.swap_dims(1, 2).reshape([batch, tokens, width])
+        part.reshape([batch, tokens, heads, width / heads]).swap_dims(1, 2)
+    })
+}
+
+/// What is added to the scores of self attention before the softmax.
+#[derive(Clone, Copy)]
+pub enum PositionBias<'a> {
+    /// A value for each head and pair of tokens: `[H, T, T]`.
+    Table(&'a Tensor<3>),
+    /// For tokens of a grid, row by row: the products of the (unscaled) query with embeddings of the query's and the key's
+    /// row `[h, h, d]` and of their columns `[w, w, d]`, the same for all heads.
+    Axes { rows: &'a Tensor<3>, columns: &'a Tensor<3> },
+}
+
+/// [`self_attention`] with a bias of the scores.
+pub fn positioned_self_attention(qkv: Tensor<3>, heads: usize, bias: PositionBias) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = self_attention::self_attention(&qkv, heads, Some(bias)) {
+        return y;
+    }
+    let [batch, tokens, joint] = qkv.dims();
+    let [q, k, v] = of_heads(qkv, heads);
+    // As many heads at a time as keep the biases below a quarter of a gigabyte.
+    let at_once = ((1 << 26) / (batch * tokens * tokens).max(1)).clamp(1, heads);
+    let groups = (0..heads).step_by(at_once).map(|first| {
+        let some = |x: &Tensor<4>| x.clone().narrow(1, first, at_once.min(heads - first));
+        let bias = match bias {
+            PositionBias::Table(table) => some(&table.clone().unsqueeze()),
+            PositionBias::Axes { rows, columns } => bias_of_axes(some(&q), rows.clone(), columns.clone()),
+        };
+        let options = AttentionModuleOptions::default();
+        attention(some(&q), some(&k), some(&v), None, Some(bias), options)
+    });
+    Tensor::cat(groups.collect(), 1).swap_dims(1, 2).reshape([batch, tokens, joint / 3])
+}
+
+/// [`PositionBias::Axes`] of queries `[B, H, T, d]`: `[B, H, T, T]`.
+fn bias_of_axes(queries: Tensor<4>, rows: Tensor<3>, columns: Tensor<3>) -> Tensor<4> {
+    let [batch, heads, tokens, d] = queries.dims();
+    let ([h, ..], [w, ..]) = (rows.dims(), columns.dims());
+    let grid = queries.reshape([batch * heads, h, w, d]);
+    let by_row = grid.clone().matmul(rows.swap_dims(1, 2).unsqueeze()); // [B H, h, w, h]
+    let by_column = grid.swap_dims(1, 2).matmul(columns.swap_dims(1, 2).unsqueeze()); // [B H, w, h, w]
+    let by_row: Tensor<5> = by_row.reshape([batch, heads, tokens, h, 1]);
+    let by_column: Tensor<5> = by_column.swap_dims(1, 2).reshape([batch, heads, tokens, 1, w]);
+    (by_row + by_column).reshape([batch, heads, tokens, tokens])
 }
 
 /// Scores of the relative positions, `sum_c projected[b, h, n, c] embedding[b, n, m, c]`: `[B, H, N, C]` and

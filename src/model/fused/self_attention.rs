@@ -3,24 +3,33 @@
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
-use super::tape::{Values, plain};
-use crate::simd::{add_product, exp_of_negative, vectorised};
+use super::{
+    PositionBias,
+    tape::{Values, plain},
+};
+use crate::simd::{add_product, dot, exp_of_negative, vectorised};
 
 /// Rows of scores that are worked on at a time, so that they stay in the nearest cache.
 const ROWS: usize = 48;
+/// Keys that are multiplied together at most: rows of longer blocks would fall into the same lines of the cache.
+const KEYS: usize = 512;
 /// Scores are padded to whole vectors.
 const LANES: usize = 16;
 
-pub fn self_attention(qkv: &Tensor<3>, heads: usize) -> Option<Tensor<3>> {
+pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>) -> Option<Tensor<3>> {
     let [batch, tokens, joint] = qkv.dims();
     let width = joint / 3;
     let values = Values::of(qkv)?;
+    let bias = match bias {
+        None => Bias::None,
+        Some(bias) => Bias::of(bias)?,
+    };
     let mut out = vec![0.0f32; batch * tokens * width];
     let read: Vec<Vec<f32>> = (0..batch * heads)
         .into_par_iter()
         .map(|item| {
             let rows = &values[item / heads * tokens * joint..][..tokens * joint];
-            head(rows, joint, item % heads * (width / heads), width / heads)
+            head(&Rows { values: rows, joint, d: width / heads }, item % heads, &bias)
         })
         .collect();
     out.par_chunks_exact_mut((tokens * width).max(1)).zip(read.par_chunks(heads)).for_each(|(out, read)| {
@@ -33,33 +42,131 @@ pub fn self_attention(qkv: &Tensor<3>, heads: usize) -> Option<Tensor<3>> {
     Some(plain(out, [batch, tokens, width]))
 }
 
-/// What the head whose channels begin at `start` reads, `[T, d]`.
-fn head(rows: &[f32], joint: usize, start: usize, d: usize) -> Vec<f32> {
-    let (tokens, width) = (rows.len() / joint, joint / 3);
-    let padded = tokens.next_multiple_of(LANES);
-    let scale = 1.0 / (d as f32).sqrt();
-    let (mut queries, mut keys) = (vec![0.0f32; tokens * d], vec![0.0f32; d * padded]);
-    // Padded keys get values of zero.
-    let mut values = vec![0.0f32; padded * d];
-    for (t, row) in rows.chunks_exact(joint).enumerate() {
-        let part = |index: usize| &row[index * width + start..][..d];
-        queries[t * d..][..d].iter_mut().zip(part(0)).for_each(|(q, x)| *q = x * scale);
-        part(1).iter().enumerate().for_each(|(c, &x)| keys[c * padded + t] = x);
-        values[t * d..][..d].copy_from_slice(part(2));
+/// Joint projections of an image's tokens, and the channels of a head.
+struct Rows<'a> {
+    values: &'a [f32],
+    joint: usize,
+    d: usize,
+}
+
+impl Rows<'_> {
+    fn tokens(&self) -> usize {
+        self.values.len() / self.joint
     }
-    let mut read = vec![0.0f32; tokens * d];
-    let mut scores = vec![0.0f32; ROWS * padded];
-    for (read, queries) in read.chunks_mut(ROWS * d).zip(queries.chunks(ROWS * d)) {
-        let scores = &mut scores[..queries.len() / d * padded];
-        scores.fill(0.0);
-        add_product(scores, queries, &keys, d);
-        let mut sums = [0.0f32; ROWS];
+
+    /// Query, key or value (0, 1, 2) of each token in a head, `[d]` each.
+    fn part(&self, index: usize, head: usize) -> impl Iterator<Item = &[f32]> {
+        let start = index * (self.joint / 3) + head * self.d;
+        self.values.chunks_exact(self.joint).map(move |row| &row[start..start + self.d])
+    }
+}
+
+/// [`PositionBias`] in memory.
+enum Bias {
+    None,
+    Table { values: Values, tokens: usize },
+    Axes { rows: Values, columns: Values, height: usize, width: usize },
+}
+
+impl Bias {
+    fn of(bias: PositionBias) -> Option<Self> {
+        Some(match bias {
+            PositionBias::Table(table) => Self::Table { values: Values::of(table)?, tokens: table.dims()[2] },
+            PositionBias::Axes { rows, columns } => Self::Axes {
+                height: rows.dims()[0],
+                width: columns.dims()[0],
+                rows: Values::of(rows)?,
+                columns: Values::of(columns)?,
+            },
+        })
+    }
+
+    /// Products of each query with the embeddings of the keys' rows, then of their columns: `[T, h + w]`.
+    fn products(&self, rows: &Rows, head: usize) -> Vec<f32> {
+        let Self::Axes { rows: by_row, columns: by_column, height, width } = self else { return Vec::new() };
+        let (h, w, d) = (*height, *width, rows.d);
+        let mut products = vec![0.0f32; rows.tokens() * (h + w)];
         vectorised(|| {
-            for (row, sum) in scores.chunks_exact_mut(padded).zip(&mut sums) {
-                *sum = exponentials(&mut row[..tokens]);
+            for (t, (out, query)) in products.chunks_exact_mut(h + w).zip(rows.part(0, head)).enumerate() {
+                let of_row = by_row[t / w * h * d..][..h * d].chunks_exact(d);
+                let of_column = by_column[t % w * w * d..][..w * d].chunks_exact(d);
+                out.iter_mut().zip(of_row.chain(of_column)).for_each(|(o, e)| *o = dot(query, e));
             }
         });
-        add_product(read, scores, &values, padded);
+        products
+    }
+
+    /// What the scores of query `t` with the keys from `first` on start from.
+    #[inline(always)]
+    fn start(&self, scores: &mut [f32], products: &[f32], head: usize, t: usize, first: usize) {
+        match self {
+            Self::None => {}
+            Self::Table { values, tokens } => {
+                let row = &values[(head * tokens + t) * tokens..][..*tokens];
+                scores.copy_from_slice(&row[first..first + scores.len()]);
+            }
+            Self::Axes { height, width, .. } => {
+                let (rows, columns) = products[t * (height + width)..][..height + width].split_at(*height);
+                let (mut key, mut rest) = (first, scores);
+                while !rest.is_empty() {
+                    let (row, column) = (rows[key / width], &columns[key % width..]);
+                    let run = column.len().min(rest.len());
+                    let (now, later) = rest.split_at_mut(run);
+                    now.iter_mut().zip(column).for_each(|(s, c)| *s = row + c);
+                    (key, rest) = (key + run, later);
+                }
+            }
+        }
+    }
+}
+
+/// What a head reads, `[T, d]`.
+fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
+    let (tokens, d) = (rows.tokens(), rows.d);
+    let blocks = tokens.div_ceil(KEYS);
+    let columns = tokens.div_ceil(blocks.max(1)).next_multiple_of(LANES);
+    let present = |block: usize| columns.min(tokens.saturating_sub(block * columns));
+    let scale = 1.0 / (d as f32).sqrt();
+    // Keys `[block, d, columns]`; padded ones get values of zero.
+    let (mut queries, mut keys) = (vec![0.0f32; tokens * d], vec![0.0f32; blocks * d * columns]);
+    let mut values = vec![0.0f32; blocks * columns * d];
+    let parts = rows.part(0, head).zip(rows.part(1, head)).zip(rows.part(2, head));
+    for (t, ((query, key), value)) in parts.enumerate() {
+        queries[t * d..][..d].iter_mut().zip(query).for_each(|(q, x)| *q = x * scale);
+        let keys = &mut keys[t / columns * d * columns..][..d * columns];
+        key.iter().enumerate().for_each(|(c, &x)| keys[c * columns + t % columns] = x);
+        values[t * d..][..d].copy_from_slice(value);
+    }
+    let products = bias.products(rows, head);
+    let mut read = vec![0.0f32; tokens * d];
+    let mut scores = vec![0.0f32; blocks * ROWS * columns];
+    for (chunk, (read, queries)) in read.chunks_mut(ROWS * d).zip(queries.chunks(ROWS * d)).enumerate() {
+        let count = queries.len() / d;
+        let of_block = |block: usize| block * ROWS * columns..(block * ROWS + count) * columns;
+        for (block, keys) in keys.chunks_exact(d * columns).enumerate() {
+            let scores = &mut scores[of_block(block)];
+            scores.fill(0.0);
+            vectorised(|| {
+                for (r, row) in scores.chunks_exact_mut(columns).enumerate() {
+                    let row = &mut row[..present(block)];
+                    bias.start(row, &products, head, chunk * ROWS + r, block * columns);
+                }
+            });
+            add_product(scores, queries, keys, d);
+        }
+        let mut sums = [0.0f32; ROWS];
+        vectorised(|| {
+            for (r, sum) in sums[..count].iter_mut().enumerate() {
+                let row = |block: usize| (block * ROWS + r) * columns..;
+                let largest = (0..blocks)
+                    .map(|b| largest(&scores[row(b)][..present(b)]))
+                    .fold(f32::NEG_INFINITY, f32::max);
+                *sum = (0..blocks).map(|b| exponentials(&mut scores[row(b)][..present(b)], largest)).sum();
+            }
+        });
+        for (block, values) in values.chunks_exact(columns * d).enumerate() {
+            add_product(read, &scores[of_block(block)], values, columns);
+        }
         for (row, sum) in read.chunks_exact_mut(d).zip(sums) {
             let scale = 1.0 / sum;
             row.iter_mut().for_each(|r| *r *= scale);
@@ -68,15 +175,19 @@ fn head(rows: &[f32], joint: usize, start: usize, d: usize) -> Vec<f32> {
     read
 }
 
-/// Replaces scores by their exponentials relative to the largest; returns their sum.
 #[inline(always)]
-fn exponentials(row: &mut [f32]) -> f32 {
+fn largest(row: &[f32]) -> f32 {
     let mut largest = [f32::NEG_INFINITY; LANES];
     let (runs, rest) = row.as_chunks::<LANES>();
     for run in runs {
         largest.iter_mut().zip(run).for_each(|(l, &x)| *l = if x > *l { x } else { *l });
     }
-    let largest = largest.into_iter().chain(rest.iter().copied()).fold(f32::NEG_INFINITY, f32::max);
+    largest.into_iter().chain(rest.iter().copied()).fold(f32::NEG_INFINITY, f32::max)
+}
+
+/// Replaces scores by their exponentials relative to the largest; returns their sum.
+#[inline(always)]
+fn exponentials(row: &mut [f32], largest: f32) -> f32 {
     let mut sums = [0.0f32; LANES];
     let (runs, rest) = row.as_chunks_mut::<LANES>();
     for run in runs {

@@ -2,7 +2,7 @@
 
 use burn::{
     module::Module,
-    tensor::{Device, Distribution, Tensor, activation, module::linear},
+    tensor::{Device, Distribution, Tensor, TensorData, activation, module::linear},
 };
 
 use super::*;
@@ -251,7 +251,7 @@ fn focusing_equals_its_plain_form() {
 fn self_attention_equals_its_plain_form() {
     let device = Device::default();
     // Tokens beyond one block of rows and not a multiple of the vectors; heads as wide as a vision transformer's and less.
-    for (tokens, heads, d) in [(101, 3, 64), (7, 2, 16), (50, 2, 5)] {
+    for (tokens, heads, d) in [(101, 3, 64), (7, 2, 16), (50, 2, 5), (1030, 1, 8)] {
         let qkv = random([2, tokens, 3 * heads * d], &device) * 3.0;
         let part = |index: usize| {
             let part = qkv.clone().narrow(2, index * heads * d, heads * d);
@@ -260,6 +260,57 @@ fn self_attention_equals_its_plain_form() {
         let scores = part(0).matmul(part(1).swap_dims(2, 3)) / (d as f64).sqrt();
         let read = activation::softmax(scores, 3).matmul(part(2));
         let expected = read.swap_dims(1, 2).reshape([2, tokens, heads * d]);
-        close(self_attention(qkv, heads), expected, 1e-5, "attention");
+        // Scores reach 25; the exponential turns their rounding into a relative error of 5e-6, of values up to 3.
+        close(self_attention(qkv, heads), expected, 3e-5, "attention");
     }
+}
+
+fn numbers<const D: usize>(x: &Tensor<D>) -> Vec<f32> {
+    x.to_data().try_to_vec().unwrap()
+}
+
+#[test]
+fn biases_by_position_are_added_to_the_scores() {
+    let device = Device::default();
+    // Grids of one and of two blocks of keys.
+    for (h, w, heads, d) in [(5, 3, 2, 6), (24, 23, 1, 4)] {
+        let tokens = h * w;
+        let qkv = random([2, tokens, 3 * heads * d], &device);
+        let (rows, columns) = (random([h, h, d], &device), random([w, w, d], &device));
+        let [q, k, v] = of_heads(qkv.clone(), heads);
+        let (by_row, by_column) = (numbers(&rows), numbers(&columns));
+        let mut bias = Vec::new();
+        for (index, query) in numbers(&q).chunks_exact(d).enumerate() {
+            let t = index % tokens;
+            let product = |e: &[f32]| query.iter().zip(e).map(|(a, b)| a * b).sum::<f32>();
+            for key in 0..tokens {
+                let row = product(&by_row[(t / w * h + key / w) * d..][..d]);
+                bias.push(row + product(&by_column[(t % w * w + key % w) * d..][..d]));
+            }
+        }
+        let bias = Tensor::<4>::from_data(TensorData::new(bias, [2, heads, tokens, tokens]), &device);
+        let attended = |bias: Tensor<4>| {
+            let scores = q.clone().matmul(k.clone().swap_dims(2, 3)) / (d as f64).sqrt() + bias;
+            let read = activation::softmax(scores, 3).matmul(v.clone());
+            read.swap_dims(1, 2).reshape([2, tokens, heads * d])
+        };
+        close(bias_of_axes(q.clone(), rows.clone(), columns.clone()), bias.clone(), 1e-5, "bias");
+        let axes = PositionBias::Axes { rows: &rows, columns: &columns };
+        close(positioned_self_attention(qkv.clone(), heads, axes), attended(bias), 1e-5, "axes");
+        let table = random([heads, tokens, tokens], &device) * 2.0;
+        let expected = attended(table.clone().unsqueeze());
+        close(positioned_self_attention(qkv, heads, PositionBias::Table(&table)), expected, 1e-5, "table");
+    }
+}
+
+#[test]
+fn gelu_in_place_and_after_a_norm() {
+    let device = Device::default();
+    let x = random([3, 70, 24], &device) * 4.0;
+    let kept = x.clone();
+    close(gelu(x.clone()), activation::gelu(x.clone()), 1e-6, "gelu");
+    let (gamma, beta) = (random([24], &device), random([24], &device));
+    let expected = activation::gelu(layer_norm(x.clone(), gamma.clone(), Some(beta.clone()), 1e-6));
+    close(layer_norm_gelu(x.clone(), gamma, beta, 1e-6), expected, 1e-5, "gelu of the norm");
+    close(x, kept, 1e-12, "the input of others");
 }
