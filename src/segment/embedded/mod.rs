@@ -3,8 +3,8 @@
 //! At a working resolution of 320 cells: support and background planes are removed; cells without depth follow the
 //! measured ones that colour connects them to, so masks reach over holes; patches of another colour on a plane are
 //! candidates of their own, as they may be flat objects; what is left is over-segmented by depth steps,
-//! concave creases and colour; merge trees with different priorities join the regions again, and every node of every
-//! tree is a candidate. The constants were chosen on synthetic scenes.
+//! concave creases and colour, once with little weight on colour; merge trees with different priorities join the regions
+//! again, and every node of every tree is a candidate. The constants were chosen on synthetic scenes.
 
 mod adjacency;
 mod flood;
@@ -17,13 +17,18 @@ mod regions;
 
 pub use grid::lab;
 
-use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
+use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError, box_iou};
 use crate::frame::{Mask, RgbdFrame};
 use grid::Grid;
 use hierarchy::Strategy;
 
 /// Cells along the longer side of the image.
 const SIDE: u32 = 320;
+/// Weights of colour in the over-segmentation: where objects differ in colour, and where prints divide them and only their
+/// shape holds them together.
+const COLOR_WEIGHTS: [f32; 2] = [1.0, 0.3];
+/// Masks whose boxes overlap less are different ones.
+const SAME_BOX: f64 = 0.75;
 /// What a patch that lies flat on a plane is worth beside a solid object.
 const FLAT: f32 = 0.5;
 
@@ -46,16 +51,39 @@ fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
     let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
     let flat = patches::patches(&grid, &background);
-    let mut proposals = candidates(&grid, &solid, &hierarchy::STRATEGIES, 1.0);
-    proposals.extend(candidates(&grid, &flat, &[hierarchy::COLOR_FIRST], FLAT));
-    proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
-    proposals.truncate(MAX_PROPOSALS);
-    proposals
+    let mut proposals = Vec::new();
+    for color in COLOR_WEIGHTS {
+        proposals.extend(candidates(&grid, &solid, color, &hierarchy::STRATEGIES, 1.0));
+    }
+    proposals.extend(candidates(&grid, &flat, COLOR_WEIGHTS[0], &[hierarchy::COLOR_FIRST], FLAT));
+    distinct(proposals)
 }
 
-/// Masks from the merge trees over some cells, their scores times `weight`.
-fn candidates(grid: &Grid, cells: &[bool], strategies: &[Strategy], weight: f32) -> Vec<Proposal> {
-    let (labels, count) = regions::regions(grid, cells);
+/// Best first, without those that a better one nearly equals.
+fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
+    proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let mut kept: Vec<Proposal> = Vec::new();
+    for proposal in proposals {
+        let same = |other: &Proposal| {
+            box_iou(&other.bounds, &proposal.bounds) > SAME_BOX
+                && other.mask.iou(&proposal.mask) > f64::from(ranking::SAME)
+        };
+        if kept.len() < MAX_PROPOSALS && !kept.iter().any(same) {
+            kept.push(proposal);
+        }
+    }
+    kept
+}
+
+/// Masks from the merge trees over some cells, whose regions see colour with the weight `color`; scores times `weight`.
+fn candidates(
+    grid: &Grid,
+    cells: &[bool],
+    color: f32,
+    strategies: &[Strategy],
+    weight: f32,
+) -> Vec<Proposal> {
+    let (labels, count) = regions::regions(grid, cells, color);
     if count == 0 {
         return Vec::new();
     }

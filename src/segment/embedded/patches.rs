@@ -13,7 +13,7 @@ const DIFFERENCE: f32 = 10.0;
 
 /// Background cells in patches of another colour than that of the plane.
 pub fn patches(grid: &Grid, background: &[bool]) -> Vec<bool> {
-    let (labels, count) = regions(grid, background);
+    let (labels, count) = regions(grid, background, 1.0);
     let (found, _) = partition(grid, &labels, count);
     let limit = PLANE_SHARE * grid.len() as f32;
     let planes: Vec<[f32; 3]> = found.iter().filter(|r| r.cells >= limit).map(|r| r.mean_lab()).collect();

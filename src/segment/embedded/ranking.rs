@@ -3,7 +3,7 @@
 use super::{adjacency::Region, grid::Grid, hierarchy::Node};
 
 /// Candidates with a larger intersection over union count as the same one.
-const SAME: f32 = 0.88;
+pub const SAME: f32 = 0.88;
 /// Least share of the image.
 const MIN_SHARE: f32 = 6e-4;
 /// Largest share of the image.

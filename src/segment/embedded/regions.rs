@@ -46,17 +46,18 @@ impl Contrast {
         Self { step, crease: crease.min(2.0), ridge: ridge.min(2.0), color }
     }
 
-    fn weight(&self) -> f32 {
-        self.step + self.crease + 0.3 * self.ridge + self.color
+    fn weight(&self, color: f32) -> f32 {
+        self.step + self.crease + 0.3 * self.ridge + color * self.color
     }
 }
 
-/// Region of every cell, `u32::MAX` outside the foreground, and the number of regions.
-pub fn regions(grid: &Grid, foreground: &[bool]) -> (Vec<u32>, usize) {
+/// Region of every cell, `u32::MAX` outside the foreground, and the number of regions; `color` is the weight of colour
+/// beside geometry.
+pub fn regions(grid: &Grid, foreground: &[bool], color: f32) -> (Vec<u32>, usize) {
     let mut edges: Vec<(f32, u32, u32)> = Vec::with_capacity(4 * grid.len());
     for cell in (0..grid.len()).filter(|&c| foreground[c]) {
         for next in grid.forward_neighbors(cell).filter(|&n| foreground[n]) {
-            edges.push((Contrast::between(grid, cell, next).weight(), cell as u32, next as u32));
+            edges.push((Contrast::between(grid, cell, next).weight(color), cell as u32, next as u32));
         }
     }
     edges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
