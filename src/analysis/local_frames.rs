@@ -34,9 +34,10 @@ pub fn frame_differences(
     })
 }
 
-/// Angle of the rotation between two frames, degrees.
+/// Angle of the rotation between two frames, degrees. The x and y axes of flat neighbourhoods are shorter than 1.
 fn frame_angle(a: &FrameAxes, b: &FrameAxes) -> f64 {
-    let trace = a.x.dot(&b.x) + a.y.dot(&b.y) + a.z.dot(&b.z);
+    let axes = [(a.x, b.x), (a.y, b.y), (a.z, b.z)];
+    let trace: f64 = axes.iter().map(|(u, v)| u.dot(v) / (u.norm() * v.norm()).max(1e-12)).sum();
     ((trace - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
