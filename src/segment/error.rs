@@ -12,7 +12,7 @@ pub enum SegmentError {
     Reference { reason: String },
     #[error("{what} is {value}, expected {expected}")]
     Prompt { what: &'static str, value: String, expected: String },
-    #[error("not found: {proposals} proposals in {image}, none is like the reference")]
+    #[error("not found: {proposals} proposals in {image}{}", if *proposals > 0 { ", none is like the reference" } else { "" })]
     NotFound { image: String, proposals: usize },
     #[error("an object described by another matcher cannot be compared by {matcher}")]
     OtherMatcher { matcher: String },

@@ -41,6 +41,11 @@ impl ProposalGenerator for EmbeddedProposals {
         "embedded".into()
     }
 
+    /// The number counts the versions of what is proposed.
+    fn fingerprint(&self) -> String {
+        "embedded 2".into()
+    }
+
     fn proposals(&self, frame: &RgbdFrame, _: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
         Ok(propose(frame))
     }
