@@ -210,12 +210,17 @@ pub fn official_tensors<M: Module>(model: &M) -> Result<BTreeMap<String, TensorD
 
 /// CRC-32 of the names and values of all parameters and buffers: equal for equal weights, wherever they come from.
 pub fn checksum<M: Module>(model: &M) -> Result<u32, CheckpointError> {
+    Ok(checksum_of(&official_tensors(model)?))
+}
+
+/// CRC-32 of names and values.
+pub(crate) fn checksum_of(tensors: &BTreeMap<String, TensorData>) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
-    for (name, data) in official_tensors(model)? {
+    for (name, data) in tensors {
         hasher.update(name.as_bytes());
         hasher.update(data.as_bytes());
     }
-    Ok(hasher.finalize())
+    hasher.finalize()
 }
 
 fn config_of(file: &TensorFile, path: &Path) -> Result<Option<Config>, CheckpointError> {

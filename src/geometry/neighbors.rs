@@ -31,8 +31,12 @@ impl LocalFrames {
 
     /// Axes from the offsets of a list of `samples` before its padding.
     fn axes(self, offsets: &[Vector3<f64>], samples: usize, radius: f32) -> FrameAxes {
-        let padding = if self.count_padding { samples - offsets.len() } else { 0 };
-        local_axes(offsets, padding, radius as f64, self.counted_sign)
+        local_axes(offsets, self.padding(offsets, samples), radius as f64, self.counted_sign)
+    }
+
+    /// How often the first offset counts beside itself.
+    fn padding(self, offsets: &[Vector3<f64>], samples: usize) -> usize {
+        if self.count_padding { samples - offsets.len() } else { 0 }
     }
 }
 
@@ -199,8 +203,9 @@ pub fn local_sign_counts(
         .with_min_len(32)
         .map(|centre| {
             let offsets = ball_offsets(&columns, points, centre, radius, samples);
-            let padding = if count_padding { samples - offsets.len() } else { 0 };
-            let axes = LocalFrames { counted_sign: true, count_padding }.axes(&offsets, samples, radius);
+            let frames = LocalFrames { counted_sign: true, count_padding };
+            let axes = frames.axes(&offsets, samples, radius);
+            let padding = frames.padding(&offsets, samples);
             let undecided = offsets
                 .iter()
                 .enumerate()

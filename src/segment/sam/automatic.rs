@@ -11,9 +11,10 @@ use super::{
     pillow::resized,
 };
 use crate::{
-    formats::{FormatError, rle::Rle},
+    formats::rle::Rle,
     frame::BoundingBox,
-    segment::{MAX_PROPOSALS, Proposal, suppressed},
+    infer::InferError,
+    segment::{MAX_PROPOSALS, Proposal, SegmentError, suppressed},
 };
 
 /// Width to which images are resized first.
@@ -47,7 +48,7 @@ pub fn proposals(
     rgb: &RgbImage,
     side: usize,
     device: &Device,
-) -> Result<Vec<Proposal>, FormatError> {
+) -> Result<Vec<Proposal>, SegmentError> {
     let own = [rgb.width(), rgb.height()];
     let working = working_size(own);
     let image = resized(rgb, working[0], working[1]);
@@ -59,7 +60,7 @@ pub fn proposals(
             .iter()
             .map(|&[x, y]| frame.point([x * f64::from(working[0]), y * f64::from(working[1])]))
             .collect();
-        candidates.extend(of_clicks(network, &embedding, &points, &frame));
+        candidates.extend(of_clicks(network, &embedding, &points, &frame)?);
     }
     let mut proposals = Vec::new();
     for candidate in distinct(candidates, working) {
@@ -93,10 +94,10 @@ fn of_clicks(
     image: &ImageEmbedding,
     points: &[[f64; 2]],
     frame: &InputFrame,
-) -> Vec<Candidate> {
+) -> Result<Vec<Candidate>, InferError> {
     let decoded = network.decode(image, network.prompt_encoder.clicks(points));
     let count = decoded.iou.dims()[1];
-    let overlaps = numbers(decoded.iou.clone());
+    let overlaps = numbers(decoded.iou.clone())?;
     let mut good: Vec<(f32, Vec<f32>)> = Vec::new();
     for (prompt, overlaps) in overlaps.chunks_exact(count).enumerate() {
         // The first mask is for prompts that mean one thing only.
@@ -104,11 +105,11 @@ fn of_clicks(
         if overlaps.iter().all(|&iou| iou <= MIN_IOU) {
             continue;
         }
-        let logits = numbers(network.masks(image, &decoded, prompt, 1..count));
+        let logits = numbers(network.masks(image, &decoded, prompt, 1..count))?;
         let masks = overlaps.iter().zip(logits.chunks_exact((logits.len() / overlaps.len()).max(1)));
         good.extend(masks.filter(|(iou, _)| **iou > MIN_IOU).map(|(&iou, logits)| (iou, logits.to_vec())));
     }
-    let Some(low) = good.first().map(|(_, logits)| logits.len().isqrt()) else { return Vec::new() };
+    let Some(low) = good.first().map(|(_, logits)| logits.len().isqrt()) else { return Ok(Vec::new()) };
     let upscaling = Upscaling::new(low, frame);
     let candidate = |(iou, logits): &(f32, Vec<f32>)| {
         let logits = upscaling.apply(logits);
@@ -117,7 +118,7 @@ fn of_clicks(
         let bounds = mask.bounding_box()?;
         Some(Candidate { iou: *iou, area: mask.count(), bounds, mask: Rle::encode(&mask) })
     };
-    good.par_iter().filter_map(candidate).collect()
+    Ok(good.par_iter().filter_map(candidate).collect())
 }
 
 /// Best first, without duplicates and specks.
@@ -139,9 +140,9 @@ fn distinct(mut candidates: Vec<Candidate>, [width, height]: [u32; 2]) -> Vec<Ca
         .collect()
 }
 
-/// Values of a tensor on the host; of none when the device has failed.
-pub(super) fn numbers<const D: usize>(x: Tensor<D>) -> Vec<f32> {
-    x.into_data().convert::<f32>().try_into_vec().unwrap_or_default()
+/// Values of a tensor on the host.
+pub(super) fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, InferError> {
+    x.try_into_vec_as::<f32>().map_err(InferError::readback("masks"))
 }
 
 #[cfg(test)]

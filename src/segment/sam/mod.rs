@@ -79,7 +79,7 @@ impl ProposalGenerator for SamProposals {
     }
 
     fn proposals(&self, frame: &RgbdFrame, _: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
-        Ok(automatic::proposals(&self.network, &frame.rgb, self.points_per_side, &self.device)?)
+        automatic::proposals(&self.network, &frame.rgb, self.points_per_side, &self.device)
     }
 
     /// The best of three masks for a click; the one mask for a box, which means one thing only.
@@ -94,7 +94,7 @@ impl ProposalGenerator for SamProposals {
             Prompt::Box(b) => encoder.frame([at(b.col_min, b.row_min), at(b.col_max, b.row_max)]),
         };
         let decoded = self.network.decode(&image, prompts);
-        let overlaps = automatic::numbers(decoded.iou.clone());
+        let overlaps = automatic::numbers(decoded.iou.clone())?;
         let masks = match prompt {
             Prompt::Point(..) => 1..overlaps.len(),
             Prompt::Box(_) => 0..1,
@@ -102,7 +102,7 @@ impl ProposalGenerator for SamProposals {
         let best = masks.max_by(|&a, &b| overlaps[a].total_cmp(&overlaps[b])).unwrap_or(0);
         let logits = self.network.masks(&image, &decoded, 0, best..best + 1);
         let low = logits.dims()[2];
-        let logits = Upscaling::new(low, &input).apply(&automatic::numbers(logits));
+        let logits = Upscaling::new(low, &input).apply(&automatic::numbers(logits)?);
         let score = overlaps.get(best).map_or(0.0, |iou| iou.clamp(0.0, 1.0));
         let found = Proposal::new(thresholded(&logits, input.image), score);
         found.ok_or_else(|| prompt.refused("on an object: the mask that the network finds is empty".into()))

@@ -37,6 +37,8 @@ pub enum ImageEncoder {
 pub struct ImageEmbedding {
     /// `[1, T, D]`.
     pub tokens: Tensor<3>,
+    /// Positions of the tokens, the same for all prompts, `[1, T, D]`.
+    positions: Tensor<3>,
     /// Rows and columns of tokens.
     pub grid: [usize; 2],
 }
@@ -70,13 +72,14 @@ impl Sam {
             ImageEncoder::TinyVit(encoder) => encoder.forward(image),
         };
         let side = tokens.dims()[1].isqrt();
-        ImageEmbedding { tokens, grid: [side, side] }
+        let grid = [side, side];
+        ImageEmbedding { tokens, positions: self.prompt_encoder.positions(grid), grid }
     }
 
     /// Tokens of P prompts `[P, N, D]` (see [`PromptEncoder`]) decoded.
     pub fn decode(&self, image: &ImageEmbedding, prompts: Tensor<3>) -> Decoded {
         let tokens = image.tokens.clone() + self.prompt_encoder.no_mask();
-        self.mask_decoder.forward(tokens, self.prompt_encoder.positions(image.grid), prompts)
+        self.mask_decoder.forward(tokens, image.positions.clone(), prompts)
     }
 
     /// Logits of some masks of a prompt, `[masks, S / 4, S / 4]` for patches of 16 pixels.

@@ -11,7 +11,7 @@ use super::{
     network::Sam,
     sizes::{SamSizes, Shapes, SizeError},
 };
-use crate::checkpoint::{CheckpointError, Layout, Mismatch, NamedTensors, contents, fill_with};
+use crate::checkpoint::{CheckpointError, Layout, Mismatch, NamedTensors, checksum_of, contents, fill_with};
 
 const LAYOUT: Layout = Layout {
     parts: &["image_encoder.", "prompt_encoder.", "mask_decoder."],
@@ -76,12 +76,7 @@ impl SamCheckpoint {
 
     /// CRC-32 of names and values.
     pub fn checksum(&self) -> u32 {
-        let mut hasher = crc32fast::Hasher::new();
-        for (name, data) in &self.tensors {
-            hasher.update(name.as_bytes());
-            hasher.update(data.as_bytes());
-        }
-        hasher.finalize()
+        checksum_of(&self.tensors)
     }
 }
 
