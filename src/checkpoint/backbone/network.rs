@@ -53,7 +53,7 @@ impl Backbone {
     fn differences(&self, config: &VitConfig) -> Vec<(String, String, String)> {
         let sizes = self.sizes();
         let heads = match PUBLISHED.iter().any(|&(width, ..)| width == sizes.embed_dim) {
-            true => sizes.embed_dim / 64,
+            true => sizes.embed_dim / HEAD_CHANNELS,
             false => config.heads,
         };
         [

@@ -233,10 +233,10 @@ impl Reader<'_> {
         SizeError::Shape { name: name.to_owned(), shape, expected }
     }
 
-    /// One more than the largest index after the prefix.
+    /// One more than the largest index after the prefix; no index reaches the number of tensors.
     fn count(&self, prefix: &str) -> usize {
         let index = |name: &String| name.strip_prefix(prefix)?.split('.').next()?.parse::<usize>().ok();
-        self.0.keys().filter_map(index).max().map_or(0, |last| last + 1)
+        self.0.keys().filter_map(index).filter(|&i| i < self.0.len()).max().map_or(0, |last| last + 1)
     }
 }
 
