@@ -25,7 +25,7 @@ impl MatchLabels {
         match_distance: f32,
         overlap_distance: f32,
     ) -> Self {
-        let moved = (query - pose.translation.clone()).matmul(pose.rotation.clone()); // rows: R^T (q - t)
+        let moved = rotated(query - pose.translation.clone(), pose.rotation.clone()); // rows: R^T (q - t)
         let distances = pairwise_distance(moved, reference);
         let nearest = |dim: usize| {
             let (distance, index) = distances.clone().min_dim_with_indices(dim);
@@ -42,9 +42,18 @@ impl MatchLabels {
     }
 }
 
-/// `[B, N, 3]` and `[B, M, 3]` to `[B, N, M]`: sqrt(max(x^2 - 2 x y + y^2, 0)).
+/// `[B, N, 3]` and `[B, M, 3]` to `[B, N, M]`. Differences per axis instead of `x^2 - 2 x y + y^2`: a product of points
+/// several radii from the origin would leave no digit of a small distance where GPUs round its factors to 11 bits.
 pub fn pairwise_distance(a: Tensor<3>, b: Tensor<3>) -> Tensor<3> {
-    let squared = |x: &Tensor<3>| (x.clone() * x.clone()).sum_dim(2);
-    let (aa, bb) = (squared(&a), squared(&b).swap_dims(1, 2));
-    (a.matmul(b.swap_dims(1, 2)) * -2.0 + aa + bb).clamp_min(0.0).sqrt()
+    let b = b.swap_dims(1, 2); // [B, 3, M]
+    let [x, y, z] =
+        [0, 1, 2].map(|axis| (a.clone().narrow(2, axis, 1) - b.clone().narrow(1, axis, 1)).square());
+    (x + y + z).sqrt()
+}
+
+/// `[B, N, 3]` times `[B, 3, 3]`, without a matrix product for the same reason.
+fn rotated(points: Tensor<3>, rotation: Tensor<3>) -> Tensor<3> {
+    let [x, y, z] =
+        [0, 1, 2].map(|axis| points.clone().narrow(2, axis, 1) * rotation.clone().narrow(1, axis, 1));
+    x + y + z
 }
