@@ -11,7 +11,7 @@ use clap::Parser;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use unopose::{
-    config::{Config, ModelConfig},
+    config::{Config, ModelConfig, Precision},
     data::{CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points},
     device::{DeviceChoice, keep_freed_memory},
     geometry::{coarse_pose, fine_pose, match_assignment},
@@ -29,6 +29,9 @@ struct Arguments {
     overrides: Vec<String>,
     #[arg(long, default_value = "auto")]
     device: DeviceChoice,
+    /// Number type of the network's products.
+    #[arg(long, default_value_t)]
+    precision: Precision,
     #[arg(long, default_value_t = 7)]
     rounds: usize,
     /// Instances of the batch against cached references.
@@ -85,12 +88,13 @@ fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let config = Config::embedded(&arguments.config, &arguments.overrides)?.model;
     let (device, backend) = arguments.device.open()?;
-    let model = UnoPose::new(&config, 0, &device);
+    let model = UnoPose::new(&config, 0, &device).in_precision(arguments.precision);
     let matrix = || Tensor::<2>::random([1024, 1024], Distribution::Uniform(-1.0, 1.0), &device);
     let bench =
         Bench { rounds: arguments.rounds.max(1), device: device.clone(), factors: [matrix(), matrix()] };
     println!(
-        "backend {backend}, {} threads, configuration {}",
+        "backend {backend}, {}, {} threads, configuration {}",
+        arguments.precision,
         rayon::current_num_threads(),
         arguments.config
     );

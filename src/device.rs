@@ -9,7 +9,7 @@ use burn::tensor::Device;
 /// A backend by name, as given to `--device`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The fastest backend of this build that finds hardware: cuda, wgpu, flex, ndarray.
+    /// The fastest backend of this build that finds hardware: cuda, wgpu (not on a software driver), flex, ndarray.
     #[default]
     Auto,
     Flex,
@@ -64,7 +64,8 @@ impl DeviceChoice {
         match self {
             Self::Auto => [Self::Cuda, Self::Wgpu, Self::Flex, Self::NdArray]
                 .into_iter()
-                .find_map(|choice| choice.open().ok())
+                .filter_map(|choice| choice.open().ok())
+                .find(|(device, _)| !is_software(device))
                 .ok_or(DeviceError::NoBackend),
             Self::Flex => flex(),
             Self::NdArray => ndarray(),
@@ -78,6 +79,17 @@ impl DeviceChoice {
 pub fn is_host(device: &Device) -> bool {
     let plain = device.clone().inner();
     [flex(), ndarray()].into_iter().flatten().any(|(host, _)| host == plain)
+}
+
+/// Whether this is a graphics driver that computes on the processor, where the CPU backends are many times faster.
+fn is_software(device: &Device) -> bool {
+    #[cfg(feature = "wgpu")]
+    return *device == Device::wgpu(burn::tensor::DeviceKind::Cpu);
+    #[cfg(not(feature = "wgpu"))]
+    {
+        let _ = device;
+        false
+    }
 }
 
 /// Lets glibc keep freed blocks of any size instead of returning them to the system: a training step allocates and frees

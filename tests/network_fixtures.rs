@@ -202,7 +202,8 @@ fn training_losses_match_the_official_network() {
         })
         .collect();
     let batch = PairTensors::from_samples(&samples, &config, &device);
-    let outputs = model.forward_train(&batch);
+    let groups = PairTensors::groups_of(&samples, &config, &device);
+    let outputs = model.forward_train(&batch, &groups);
     for (index, block) in outputs.coarse.iter().enumerate() {
         fixture.check(&format!("coarse_sim{index}"), block.similarity.clone(), 5e-3);
         fixture.check(

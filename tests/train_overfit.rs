@@ -41,13 +41,15 @@ fn one_pair_is_learned_and_the_saved_network_gives_the_same_pose() {
     let truth =
         metric_pose(&sample.t_query_reference, query.center, reference.cloud.center, reference.radius);
 
+    let samples = [sample];
     let device = Device::default();
     let training = device.clone().autodiff();
-    let batch = PairTensors::from_samples(&[sample], &config.model, &training);
+    let batch = PairTensors::from_samples(&samples, &config.model, &training);
+    let groups = PairTensors::groups_of(&samples, &config.model, &training);
     let mut optimization = Optimization::new(UnoPose::new(&config.model, 0, &training), &config.train);
     let mut losses = Vec::new();
     for _ in 0..250 {
-        let outputs = optimization.model().forward_train(&batch);
+        let outputs = optimization.model().forward_train(&batch, &groups);
         let loss = pair_losses(&config.loss, &outputs, &batch).total;
         losses.push(loss.clone().into_scalar::<f32>());
         optimization.accumulate(loss);

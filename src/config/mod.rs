@@ -12,6 +12,7 @@ mod loss;
 mod model;
 mod official;
 mod overrides;
+mod precision;
 mod quirks;
 mod synth;
 mod train;
@@ -26,6 +27,7 @@ pub use model::{
     EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, HypothesisScore, MatchingConfig,
     ModelConfig, OverlapMode,
 };
+pub use precision::Precision;
 pub use quirks::Quirks;
 pub use synth::{MeshLayout, MeshSize, SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;

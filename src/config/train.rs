@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Precision;
+
 /// The training loop. Defaults are the release's (network page, section 8).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -36,6 +38,8 @@ pub struct TrainConfig {
     pub validation_images: usize,
     /// Seconds between checkpoints of the whole training state.
     pub checkpoint_seconds: f64,
+    /// Number type of the products; weights and optimizer state are single precision in any case.
+    pub precision: Precision,
     /// Threads that prepare pairs. 0: one per core.
     pub workers: usize,
     /// Batches prepared ahead.
@@ -60,6 +64,7 @@ impl Default for TrainConfig {
             validation_pairs: 64,
             validation_images: 100,
             checkpoint_seconds: 600.0,
+            precision: Precision::F32,
             workers: 0,
             prefetch: 2,
         }

@@ -3,7 +3,11 @@
 use std::sync::OnceLock;
 
 use super::{Calibration, PoseEstimator, ReferenceColor, Refinement};
-use crate::{config::ModelConfig, device::DeviceChoice, model::UnoPose};
+use crate::{
+    config::{ModelConfig, Precision},
+    device::DeviceChoice,
+    model::UnoPose,
+};
 
 impl PoseEstimator {
     /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
@@ -11,6 +15,14 @@ impl PoseEstimator {
         let model = UnoPose::new(&self.config, seed, &self.device);
         let source = format!("untrained network of {}", self.source);
         Self { model, source, calibration: None, network: OnceLock::new(), ..self }
+    }
+
+    /// Number type of the network's products, single precision at first. Only the first conversion counts: digits that
+    /// one has taken away are gone.
+    pub fn with_precision(mut self, precision: Precision) -> Self {
+        self.model = self.model.in_precision(precision);
+        self.network = OnceLock::new();
+        self
     }
 
     /// Seed of point sampling and hypotheses, 0 at first.

@@ -4,10 +4,12 @@
 use burn::{
     module::{Module, Param},
     nn::Linear,
-    tensor::{Int, Tensor, TensorData},
+    tensor::{FloatDType, Int, Tensor, TensorData},
 };
 
-use super::{conv_encoder::ConvEncoder, init::Initializer, vit::VisionTransformer};
+use super::{
+    conv_encoder::ConvEncoder, init::Initializer, precision::like, rows::select_rows, vit::VisionTransformer,
+};
 use crate::config::{ColorConfig, ModelConfig};
 
 /// Image encoder and its read-out at the points.
@@ -68,10 +70,13 @@ impl RgbNet {
     fn forward(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
         let batch = images.dims()[0];
         if let (Some(conv), Some(project)) = (&self.conv, &self.project) {
-            let sampled = conv.forward(images).map(|map| sample_map(map, choose, self.image_size));
+            let sampled = conv
+                .forward(like(images, &project.weight))
+                .map(|map| sample_map(map, choose, self.image_size));
             return project.forward(Tensor::cat(sampled.to_vec(), 2));
         }
         if let Some(vit) = &self.vit {
+            let images = like(images, &vit.pos_embed);
             return self.sample_tokens(vit.forward(images).pyramid, choose);
         }
         let constant = self.constant.as_ref().map(Param::val);
@@ -118,7 +123,7 @@ impl RgbNet {
         }
         let count = used.len();
         let used = Tensor::<1, Int>::from_data(TensorData::new(used, [count]), &tokens.device().inner());
-        let tokens = tokens.reshape([batch * patches, channels]).select(0, used);
+        let tokens = select_rows(tokens.reshape([batch * patches, channels]), used);
         let map = upscaling.forward(tokens).reshape([count * cells, self.out_dim]);
         weighted_rows(map, rows, weights).reshape([batch, choose.points, self.out_dim])
     }
@@ -212,7 +217,8 @@ fn weighted_rows(map: Tensor<2>, rows: Vec<i32>, weights: Vec<f32>) -> Tensor<2>
     let count = rows.len();
     let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
     let weights = Tensor::<3>::from_data(TensorData::new(weights, [count / 4, 4, 1]), &device);
-    map.select(0, rows)
+    let weights = weights.cast(FloatDType::from(map.dtype()));
+    select_rows(map, rows)
         .reshape([count / 4, 4, channels])
         .mul(weights)
         .sum_dim(1)

@@ -9,7 +9,10 @@ use burn::{
     },
 };
 
-use super::init::Initializer;
+use super::{
+    init::Initializer,
+    precision::{like, single},
+};
 use crate::config::{MatchingConfig, OverlapMode};
 
 /// Result of one block of one stage.
@@ -97,9 +100,9 @@ impl MatchingHead<'_> {
     /// Point features `[B, N, input]` to tokens with the background in front `[B, 1 + N, C]`; `extra` is added to the
     /// projected points.
     pub fn tokens(&self, features: Tensor<3>, extra: Option<Tensor<3>>) -> Tensor<3> {
-        let x = self.in_proj.forward(features);
+        let x = self.in_proj.forward(like(features, &self.in_proj.weight));
         let x = match extra {
-            Some(extra) => x + extra,
+            Some(extra) => x + like(extra, &self.in_proj.weight),
             None => x,
         };
         let [batch, _, width] = x.dims();
@@ -112,7 +115,7 @@ impl MatchingHead<'_> {
         let scores = self.score_heads.map(|heads| {
             [&query, &reference].map(|tokens| {
                 let [batch, n, _] = tokens.dims();
-                heads[index].forward(tokens.clone()).reshape([batch, n])
+                single(heads[index].forward(tokens.clone())).reshape([batch, n])
             })
         });
         let part = |range: fn(usize) -> std::ops::Range<usize>| {
@@ -123,7 +126,7 @@ impl MatchingHead<'_> {
                 })
             })
         };
-        let [query, reference] = [query, reference].map(|tokens| self.out_proj.forward(tokens));
+        let [query, reference] = [query, reference].map(|tokens| single(self.out_proj.forward(tokens)));
         let mut similarity = BlockOutput::cosine_similarity(query, reference, self.temperature);
         let (overlap, mut background_overlap) = (part(|n| 1..n), None);
         if let (true, Some([query, reference])) = (self.overlap_features, scores.clone()) {

@@ -14,6 +14,8 @@ mod init;
 mod linear_attention;
 mod matching;
 mod positional_encoding;
+mod precision;
+mod rows;
 mod sparse_to_dense;
 mod stages;
 mod tensors;
@@ -132,9 +134,9 @@ impl UnoPose {
     }
 
     /// Training pass: the fine stage starts from the noisy pose that the batch's query neighbourhoods were built with.
-    pub fn forward_train(&self, batch: &PairTensors) -> MatchingOutputs {
-        let positions = [&batch.query_groups, &batch.reference_groups].map(|groups| self.position(groups));
-        self.forward_matching(batch, positions)
+    /// `groups` are the batch's, of the queries and of the references.
+    pub fn forward_train(&self, batch: &PairTensors, groups: &[[GroupTensors; 2]; 2]) -> MatchingOutputs {
+        self.forward_matching(batch, groups.each_ref().map(|groups| self.position(groups)))
     }
 
     /// Positional encoding `[B, N, C]` of a cloud's neighbourhoods; `None` without a fine stage.
@@ -169,10 +171,7 @@ impl UnoPose {
 /// `[B, N, C] -> [B, M, C]`.
 fn sparse_features(cloud: &CloudTensors, features: &CloudFeatures) -> Tensor<3> {
     let [batch, n, width] = features.dense.dims();
-    let rows = cloud.sparse_points.dims()[0];
-    features.dense.clone().reshape([batch * n, width]).select(0, cloud.sparse_points.clone()).reshape([
-        batch,
-        rows / batch,
-        width,
-    ])
+    let count = cloud.sparse_points.dims()[0];
+    let dense = features.dense.clone().reshape([batch * n, width]);
+    rows::select_rows(dense, cloud.sparse_points.clone()).reshape([batch, count / batch, width])
 }

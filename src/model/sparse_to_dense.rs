@@ -5,7 +5,10 @@ use burn::{
     tensor::{Int, Tensor},
 };
 
-use super::{init::Initializer, linear_attention::LinearTransformerLayer, transformer::GeometricTransformer};
+use super::{
+    init::Initializer, linear_attention::LinearTransformerLayer, rows::select_rows,
+    transformer::GeometricTransformer,
+};
 use crate::config::FineConfig;
 
 /// `sparse_layer` then `dense_layer`.
@@ -30,11 +33,8 @@ impl DenseTokens {
     fn sparse(&self) -> Tensor<3> {
         let [batch, tokens, width] = self.features.dims();
         let rows = self.sparse_rows.dims()[0];
-        self.features.clone().reshape([batch * tokens, width]).select(0, self.sparse_rows.clone()).reshape([
-            batch,
-            rows / batch,
-            width,
-        ])
+        let dense = self.features.clone().reshape([batch * tokens, width]);
+        select_rows(dense, self.sparse_rows.clone()).reshape([batch, rows / batch, width])
     }
 }
 

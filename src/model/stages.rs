@@ -13,6 +13,7 @@ use super::{
     init::Initializer,
     matching::{BlockOutput, HeadParameters, MatchingHead},
     positional_encoding::{GroupTensors, PositionalEncoding},
+    precision::like,
     sparse_to_dense::{DenseTokens, SparseToDenseTransformer},
     transformer::GeometricTransformer,
 };
@@ -110,11 +111,12 @@ impl CoarsePointMatching {
         reference: CoarseInput,
         which: Supervision,
     ) -> Vec<BlockOutput> {
+        let [from, to] = [query.embedding, reference.embedding].map(|e| like(e, &self.in_proj.weight));
         let mut q = self.head().tokens(query.features, None);
         let mut p = self.head().tokens(reference.features, None);
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {
-            (q, p) = block.forward(q, query.embedding.clone(), p, reference.embedding.clone());
+            (q, p) = block.forward(q, from.clone(), p, to.clone());
             if which == Supervision::AllBlocks || index + 1 == self.transformers.len() {
                 outputs.push(self.head().compare(index, q.clone(), p.clone()));
             }
@@ -163,7 +165,7 @@ impl FinePointMatching {
         let [mut q, mut p] = [query, reference].map(|cloud| DenseTokens {
             features: self.head().tokens(cloud.features, Some(cloud.position)),
             sparse_rows: cloud.sparse_rows,
-            embedding: cloud.embedding,
+            embedding: like(cloud.embedding, &self.in_proj.weight),
         });
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {

@@ -34,13 +34,11 @@ pub struct PoseTensors {
     pub translation: Tensor<3>,
 }
 
-/// A training batch.
+/// A training batch without its neighbourhoods ([`Self::groups_of`]).
 #[derive(Clone, Debug)]
 pub struct PairTensors {
     pub query: CloudTensors,
     pub reference: CloudTensors,
-    pub query_groups: [GroupTensors; 2],
-    pub reference_groups: [GroupTensors; 2],
     /// True pose.
     pub pose: PoseTensors,
 }
@@ -104,12 +102,9 @@ impl PairTensors {
         let clouds = |pick: fn(&TrainSample) -> &CloudInput| {
             CloudTensors::from_clouds(&samples.iter().map(pick).collect::<Vec<_>>(), config, device)
         };
-        let [query_groups, reference_groups] = Self::groups_of(samples, config, device);
         Self {
             query: clouds(|s| &s.query),
             reference: clouds(|s| &s.reference.cloud),
-            query_groups,
-            reference_groups,
             pose: PoseTensors::new(samples.iter().map(|s| &s.t_query_reference), device),
         }
     }

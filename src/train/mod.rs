@@ -29,6 +29,7 @@ pub use interrupt::Interrupt;
 pub use journal::{Event, Journal, StepRecord, ValidationRecord};
 pub use optimization::Optimization;
 pub use options::{Ending, TrainOptions, TrainOutcome};
+pub use replicas::{Pass, pass};
 pub use run::train;
 pub use schedule::{Schedule, TimeBudget};
 pub use validation::{PoseError, Validation};

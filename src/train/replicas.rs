@@ -53,6 +53,10 @@ pub fn pass(model: &UnoPose, config: &Config, samples: &[TrainSample], device: &
     });
     let parts: Vec<Part<'_>> = parts.collect();
     let passed: Vec<PassedPart> = thread::scope(|scope| {
+        if threads == 1 {
+            // On the caller's thread: a GPU's queue belongs to one.
+            return parts.into_iter().map(|part| part.pass(config, device)).collect();
+        }
         let running: Vec<_> =
             parts.into_iter().map(|part| scope.spawn(move || part.pass(config, device))).collect();
         let joined = running.into_iter().map(|part| part.join());
@@ -103,7 +107,8 @@ struct PassedPart {
 impl Part<'_> {
     fn pass(self, config: &Config, device: &Device) -> PassedPart {
         let batch = PairTensors::from_samples(self.samples, &config.model, device);
-        let outputs = self.model.forward_matching(&batch, self.positions.clone());
+        let computing = self.model.clone().in_precision(config.train.precision);
+        let outputs = computing.forward_matching(&batch, self.positions.clone());
         let mut losses = pair_losses(&config.loss, &outputs, &batch);
         losses.total = losses.total * self.share;
         let values = on_host(&losses);

@@ -105,7 +105,8 @@ impl Validation {
             let first = batch_index * config.train.batch_size;
             let samples = self.samples(first..first + truths.len())?;
             let batch = PairTensors::from_samples(&samples, &config.model, device);
-            let losses = pair_losses(&config.loss, &model.forward_train(&batch), &batch);
+            let groups = PairTensors::groups_of(&samples, &config.model, device);
+            let losses = pair_losses(&config.loss, &model.forward_train(&batch, &groups), &batch);
             loss += f64::from(losses.total.into_scalar::<f32>()) * samples.len() as f64;
             let estimates = estimate(model, config, &samples, first as u64, device)?;
             let poses = |of: fn(&PairEstimate) -> Pose| -> Vec<Pose> {

@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use serde::Deserialize;
 
 use super::VerifyError;
+use crate::device::DeviceChoice;
 
 /// Bound of one tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -21,6 +22,8 @@ pub enum Tolerance {
 #[derive(Clone, Debug)]
 pub struct Tolerances {
     given: BTreeMap<String, Tolerance>,
+    /// Of the backend, where it computes less exactly.
+    backend: BTreeMap<String, Tolerance>,
     built_in: BTreeMap<String, Tolerance>,
 }
 
@@ -31,7 +34,7 @@ impl Tolerances {
     /// The built-in bounds (`src/verify/tolerances.json`).
     pub fn built_in() -> Self {
         let built_in = serde_json::from_str(include_str!("tolerances.json")).unwrap_or_default();
-        Self { given: BTreeMap::new(), built_in }
+        Self { given: BTreeMap::new(), backend: BTreeMap::new(), built_in }
     }
 
     /// The built-in bounds with those of a JSON file (`{"pred_t": 1e-5, "grad.*": {"relative_l2": 0.05, "cosine":
@@ -55,10 +58,21 @@ impl Tolerances {
         Ok(Self { given, ..Self::built_in() })
     }
 
+    /// With the bounds of a backend before the built-in ones. CUDA's are wider (`src/verify/tolerances-cuda.json`): the
+    /// factors of its products are rounded to tf32, 11 bits.
+    pub fn for_backend(self, backend: DeviceChoice) -> Self {
+        let text = match backend {
+            DeviceChoice::Cuda => include_str!("tolerances-cuda.json"),
+            _ => "{}",
+        };
+        Self { backend: serde_json::from_str(text).unwrap_or_default(), ..self }
+    }
+
     /// The bound of a tensor; integers without an entry must be equal.
     pub fn of(&self, name: &str, integer: bool) -> Tolerance {
         let fallback = if integer { 0.0 } else { UNIT };
         best(&self.given, name)
+            .or_else(|| best(&self.backend, name))
             .or_else(|| best(&self.built_in, name))
             .unwrap_or(Tolerance::Absolute(fallback))
     }
@@ -104,6 +118,19 @@ mod tests {
         assert!(matches!(t.of(zero, false), Tolerance::Absolute(_)));
         let dense = "grad.fine_point_matching.transformers.0.dense_layer.attention.attention.proj_k.bias";
         assert_eq!(t.of(dense, false), gradient);
+    }
+
+    #[test]
+    fn cuda_has_wider_bounds_of_its_own() {
+        let [flex, cuda] =
+            [DeviceChoice::Flex, DeviceChoice::Cuda].map(|choice| Tolerances::built_in().for_backend(choice));
+        assert_eq!(flex.of("pred_R", false), Tolerance::Absolute(1e-5));
+        assert_eq!(cuda.of("pred_R", false), Tolerance::Absolute(1e-4));
+        // What no product enters keeps its bound, and what is zero in theory stays near zero.
+        assert_eq!(cuda.of("fps_idx_m", true), Tolerance::Absolute(0.0));
+        let zero = "grad.geo_embedding.proj_d.bias";
+        assert_eq!(cuda.of(zero, false), Tolerance::Absolute(1e-4));
+        assert!(matches!(cuda.of("grad.geo_embedding.proj_d.weight", false), Tolerance::Direction { .. }));
     }
 
     #[test]

@@ -40,7 +40,8 @@ pub(super) fn compute(
         .map(|(b, pair)| sample(pair, config, stored, b, pairs.len()))
         .collect::<Result<_, _>>()?;
     let batch = PairTensors::from_samples(&samples, config, device);
-    let outputs = model.forward_train(&batch);
+    let groups = PairTensors::groups_of(&samples, config, device);
+    let outputs = model.forward_train(&batch, &groups);
     let mut out = Computed::default();
     let poses: Vec<Pose> = samples.iter().map(|s| s.t_query_reference).collect();
     let sparse = |points: &[[f32; 3]], indices: &[u32]| -> Vec<[f32; 3]> {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use unopose::{
+    config::Precision,
     device::DeviceChoice,
     infer::{InferError, PoseEstimator, Refinement},
 };
@@ -18,6 +19,9 @@ pub struct EstimatorOptions {
     /// Compute device: auto, flex, ndarray, wgpu or cuda
     #[arg(long, default_value = "auto")]
     device: DeviceChoice,
+    /// Number type of the network's products: f32, or bf16 (for GPUs)
+    #[arg(long, default_value_t)]
+    precision: Precision,
     /// Refinement after the network: none, icp or gicp (local, at most 30 mm and 15 degrees)
     #[arg(long, default_value = "none")]
     refine: Refinement,
@@ -48,6 +52,7 @@ impl EstimatorOptions {
             None => PoseEstimator::load_default(self.device)?,
         };
         Ok(estimator
+            .with_precision(self.precision)
             .with_seed(self.seed)
             .with_refinement(self.refine)
             .with_min_confidence(self.min_confidence))

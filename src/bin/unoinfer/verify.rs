@@ -38,7 +38,8 @@ pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
         Some(path) => Tolerances::with_file(path)?,
         None => Tolerances::built_in(),
     };
-    let (device, _) = arguments.device.open()?;
+    let (device, backend) = arguments.device.open()?;
+    let tolerances = tolerances.for_backend(backend);
     let device = match Kind::of(&tensors)? {
         Kind::Evaluation => device,
         Kind::Training => device.autodiff(),
