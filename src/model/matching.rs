@@ -9,7 +9,10 @@ use burn::{
     },
 };
 
-use super::init::Initializer;
+use super::{
+    fused::{cosines, tokens},
+    init::Initializer,
+};
 use crate::config::{MatchingConfig, OverlapMode};
 
 /// Result of one block of one stage.
@@ -97,13 +100,7 @@ impl MatchingHead<'_> {
     /// Point features `[B, N, input]` to tokens with the background in front `[B, 1 + N, C]`; `extra` is added to the
     /// projected points.
     pub fn tokens(&self, features: Tensor<3>, extra: Option<Tensor<3>>) -> Tensor<3> {
-        let x = self.in_proj.forward(features);
-        let x = match extra {
-            Some(extra) => x + extra,
-            None => x,
-        };
-        let [batch, _, width] = x.dims();
-        Tensor::cat(vec![self.bg_token.val().expand([batch, 1, width]), x], 1)
+        tokens(features, self.in_proj, extra, self.bg_token.val())
     }
 
     /// Similarity and overlap after block `index` from the tokens `[B, 1 + N, C]` of both clouds.
@@ -123,8 +120,7 @@ impl MatchingHead<'_> {
                 })
             })
         };
-        let [query, reference] = [query, reference].map(|tokens| self.out_proj.forward(tokens));
-        let mut similarity = BlockOutput::cosine_similarity(query, reference, self.temperature);
+        let mut similarity = cosines(query, reference, self.out_proj, self.temperature);
         let (overlap, mut background_overlap) = (part(|n| 1..n), None);
         if let (true, Some([query, reference])) = (self.overlap_features, scores.clone()) {
             // Paper, overlap-aware correlation: features scaled by the confidences (the background's, too) before the
