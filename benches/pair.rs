@@ -11,7 +11,7 @@ use clap::Parser;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use unopose::{
-    config::{Config, ModelConfig, Precision},
+    config::{ColorConfig, Config, ModelConfig, Precision},
     data::{CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points},
     device::{DeviceChoice, keep_freed_memory},
     geometry::{coarse_pose, fine_pose, match_assignment},
@@ -37,6 +37,9 @@ struct Arguments {
     /// Instances of the batch against cached references.
     #[arg(long, default_value_t = 8)]
     instances: usize,
+    /// Choose pixels anywhere in the crop, so that all of it is read, instead of where the points are seen.
+    #[arg(long)]
+    scattered: bool,
     /// Passed by `cargo bench`.
     #[arg(long, hide = true)]
     bench: bool,
@@ -98,6 +101,11 @@ fn main() -> anyhow::Result<()> {
         rayon::current_num_threads(),
         arguments.config
     );
+    let views = Views { config: &config, scattered: arguments.scattered };
+    let (query, reference) = views.pair(0);
+    if let Some((used, all)) = patches(&config, &query.choose) {
+        println!("the query's points are seen in {used} of {all} patches");
+    }
     println!("\n| stage | ms | ratio |\n|--|--|--|");
     let mut products: Vec<f64> = (0..20).map(|_| bench.product()).collect();
     products.sort_unstable_by(f64::total_cmp);
@@ -106,16 +114,15 @@ fn main() -> anyhow::Result<()> {
         2.0 * 1024f64.powi(3) / products[10] / 1e9,
         products[10] * 1e3
     );
-    stages(&bench, &model, &config);
+    stages(&bench, &model, views);
 
-    let (query, reference) = pair(&config, 0);
     let encoded = encode_references(&model, &config, &[&reference], &device);
     let again = |query: &CloudInput, reference: &PreparedReference, encoded: &EncodedReferences| {
         estimate_encoded(
             &model,
             &config,
             &[CloudPair::new(query, reference)],
-            encoded,
+            &[encoded],
             Uniforms::Shared(0),
             &device,
         )
@@ -125,15 +132,22 @@ fn main() -> anyhow::Result<()> {
         estimate_pairs(&model, &config, &[(&query, &reference)], Uniforms::Shared(0), &device)
     });
     let of_pair = peak_memory();
-    let others: Vec<_> = (0..arguments.instances as u64).map(|seed| pair(&config, seed)).collect();
-    let encoded: Vec<_> =
-        others.iter().map(|(_, r)| encode_references(&model, &config, &[r], &device)).collect();
-    let batch: Vec<_> = others.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
-    let row = format!("**instance of {}, cached references**", others.len());
-    bench.row(&row, others.len(), || {
-        let encoded = EncodedReferences::batch(&encoded.iter().collect::<Vec<_>>());
-        encoded
-            .map(|encoded| estimate_encoded(&model, &config, &batch, &encoded, Uniforms::Shared(0), &device))
+    // What is kept of a reference; its neighbourhoods are in the positional encoding.
+    let kept: Vec<_> = (0..arguments.instances as u64)
+        .map(|seed| {
+            let (query, reference) = views.pair(seed);
+            let encoded = encode_references(&model, &config, &[&reference], &device);
+            (query, reference.cloud, reference.radius, encoded)
+        })
+        .collect();
+    let batch: Vec<_> = kept
+        .iter()
+        .map(|(query, reference, radius, _)| CloudPair { query, reference, radius: *radius })
+        .collect();
+    let encoded: Vec<&EncodedReferences> = kept.iter().map(|(.., encoded)| encoded).collect();
+    let row = format!("**instance of {}, cached references**", batch.len());
+    bench.row(&row, batch.len(), || {
+        estimate_encoded(&model, &config, &batch, &encoded, Uniforms::Shared(0), &device)
     });
     if let (Some(pair), Some(batch)) = (of_pair, peak_memory()) {
         println!("\npeak memory {pair} MiB before the batch, {batch} MiB with it");
@@ -142,12 +156,12 @@ fn main() -> anyhow::Result<()> {
 }
 
 /// The parts of the whole, each on the inputs it has there.
-fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
-    let device = &bench.device;
-    let (points, choose, rgb) = view(config, 1, config.reference_points);
+fn stages(bench: &Bench, model: &UnoPose, views: Views<'_>) {
+    let (device, config) = (&bench.device, views.config);
+    let (points, choose, rgb) = views.view(1, config.reference_points);
     bench
         .row("reference: prepare (host)", 1, || reference_from_points(&points, &choose, rgb.clone(), config));
-    let (query, reference) = pair(config, 0);
+    let (query, reference) = views.pair(0);
     let [q, p] = [&query, &reference.cloud].map(|cloud| CloudTensors::from_clouds(&[cloud], config, device));
     bench.row("colour features, one image", 1, || {
         model.feature_extraction.forward(q.images.clone(), &q.choose)
@@ -202,28 +216,74 @@ fn stages(bench: &Bench, model: &UnoPose, config: &ModelConfig) {
     });
 }
 
-/// A query and a reference of the configuration's sizes.
-fn pair(config: &ModelConfig, seed: u64) -> (CloudInput, PreparedReference) {
-    let (points, choose, rgb) = view(config, 2 * seed, config.reference_points);
-    let reference = reference_from_points(&points, &choose, rgb, config);
-    let (points, choose, rgb) = view(config, 2 * seed + 1, config.fine_points);
-    (query_from_points(&points, &choose, rgb, reference.radius, config), reference)
+/// Views of the configuration's sizes.
+#[derive(Clone, Copy)]
+struct Views<'a> {
+    config: &'a ModelConfig,
+    /// Pixels anywhere in the crop instead of where the points are seen.
+    scattered: bool,
 }
 
-/// The visible half of a bumpy ellipsoid with half axes of 10, 6 and 5 cm, 0.7 m away, and a noise picture.
-fn view(config: &ModelConfig, seed: u64, count: usize) -> (Vec<[f32; 3]>, Vec<u32>, Vec<f32>) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let points = (0..count)
-        .map(|_| {
-            let (z, a) = (rng.random_range(-1.0f32..0.0), rng.random_range(0.0..std::f32::consts::TAU));
-            let (rho, bump) = ((1.0 - z * z).sqrt(), 1.0 + 0.1 * (5.0 * a).sin() * z);
-            [0.10 * bump * rho * a.cos(), 0.06 * bump * rho * a.sin(), 0.05 * bump * z + 0.7]
+impl Views<'_> {
+    /// A query and a reference.
+    fn pair(&self, seed: u64) -> (CloudInput, PreparedReference) {
+        let (points, choose, rgb) = self.view(2 * seed, self.config.reference_points);
+        let reference = reference_from_points(&points, &choose, rgb, self.config);
+        let (points, choose, rgb) = self.view(2 * seed + 1, self.config.fine_points);
+        (query_from_points(&points, &choose, rgb, reference.radius, self.config), reference)
+    }
+
+    /// The visible half of a bumpy ellipsoid with half axes of 10, 6 and 5 cm, 0.7 m away, and a noise picture of the
+    /// square crop around it.
+    fn view(&self, seed: u64, count: usize) -> (Vec<[f32; 3]>, Vec<u32>, Vec<f32>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let points: Vec<[f32; 3]> = (0..count)
+            .map(|_| {
+                let (z, a) = (rng.random_range(-1.0f32..0.0), rng.random_range(0.0..std::f32::consts::TAU));
+                let (rho, bump) = ((1.0 - z * z).sqrt(), 1.0 + 0.1 * (5.0 * a).sin() * z);
+                [0.10 * bump * rho * a.cos(), 0.06 * bump * rho * a.sin(), 0.05 * bump * z + 0.7]
+            })
+            .collect();
+        let pixels = (self.config.image_size * self.config.image_size) as u32;
+        let choose = match self.scattered {
+            true => (0..count).map(|_| rng.random_range(0..pixels)).collect(),
+            false => self.seen_at(&points),
+        };
+        let rgb = (0..3 * pixels).map(|_| rng.random_range(-2.0..2.0)).collect();
+        (points, choose, rgb)
+    }
+
+    /// The pixel of the crop, which the object fills in its larger direction, that shows each point.
+    fn seen_at(&self, points: &[[f32; 3]]) -> Vec<u32> {
+        let projected = || points.iter().map(|[x, y, z]| [x / z, y / z]);
+        let bounds = [0, 1].map(|axis| {
+            projected().fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], p| {
+                [low.min(p[axis]), high.max(p[axis])]
+            })
+        });
+        let side = bounds.iter().map(|[low, high]| high - low).fold(f32::MIN_POSITIVE, f32::max);
+        let size = self.config.image_size;
+        let pixel = |axis: usize, x: f32| {
+            let [low, high] = bounds[axis];
+            let x = ((x - 0.5 * (low + high)) / side + 0.5) * size as f32;
+            (x as usize).min(size - 1)
+        };
+        projected().map(|[x, y]| (pixel(1, y) * size + pixel(0, x)) as u32).collect()
+    }
+}
+
+/// Patches of the transformer's grid that hold chosen pixels, out of how many.
+fn patches(config: &ModelConfig, choose: &[u32]) -> Option<(usize, usize)> {
+    let ColorConfig::Vit(vit) = &config.color else { return None };
+    let side = config.image_size / vit.patch_size;
+    let used: std::collections::BTreeSet<usize> = choose
+        .iter()
+        .map(|&pixel| {
+            let at = |x: usize| (x / vit.patch_size).min(side - 1);
+            at(pixel as usize / config.image_size) * side + at(pixel as usize % config.image_size)
         })
         .collect();
-    let pixels = (config.image_size * config.image_size) as u32;
-    let choose = (0..count).map(|_| rng.random_range(0..pixels)).collect();
-    let rgb = (0..3 * pixels).map(|_| rng.random_range(-2.0..2.0)).collect();
-    (points, choose, rgb)
+    Some((used.len(), side * side))
 }
 
 /// Largest resident memory of this process so far; known on Linux.

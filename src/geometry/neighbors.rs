@@ -50,7 +50,7 @@ pub struct BallQuery {
 }
 
 /// Neighbourhood features of every point for the positional encoding.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct BallGroups {
     pub samples: usize,
     /// `[N, samples, 6]` (`[N, samples, 3]` without local frames): offset to the neighbour in radii of the object,

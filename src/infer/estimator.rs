@@ -35,8 +35,8 @@ const EMBEDDED: Option<&[u8]> =
 #[cfg(not(embedded_checkpoint))]
 const EMBEDDED: Option<&[u8]> = None;
 
-/// Largest batch of one forward pass, which bounds memory. On two CPU cores batches of 1, 2 and 8 take the same time per
-/// pair within the noise (`unoinfer eval` on 120 pairs) and give the same bits; a GPU gains.
+/// Largest batch of one forward pass, which bounds memory. A GPU gains from it; on the CPU only the colours of a few queries
+/// are computed together.
 const MAX_BATCH: usize = 8;
 
 /// Streams of the random numbers of one seed.
@@ -264,9 +264,6 @@ impl PoseEstimator {
         let pairs: Vec<CloudPair<'_>> =
             chunk.iter().map(|(query, cloud, _)| query.reference.pair(cloud)).collect();
         let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
-        let Some(references) = EncodedReferences::batch(&references) else {
-            return Ok((Vec::new(), StageTimes::default()));
-        };
         let uniforms = Uniforms::Shared(self.seed);
         trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }

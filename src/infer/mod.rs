@@ -11,6 +11,7 @@ mod confidence;
 mod error;
 mod estimate;
 mod estimator;
+mod forward;
 mod one_pair;
 mod pairs;
 mod reference;
@@ -29,10 +30,8 @@ pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, 
 pub use error::InferError;
 pub use estimate::{Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;
-pub use pairs::{
-    CloudPair, EncodedReferences, PairEstimate, StageTimes, encode_references, estimate_encoded,
-    estimate_pairs, trace_encoded,
-};
+pub use forward::{estimate_encoded, estimate_pairs, trace_encoded};
+pub use pairs::{CloudPair, EncodedReferences, PairEstimate, StageTimes, encode_references};
 pub use reference::Reference;
 pub use reference_color::ReferenceColor;
 pub use target_list::{

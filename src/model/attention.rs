@@ -6,7 +6,10 @@ use burn::{
     tensor::{Tensor, activation::softmax},
 };
 
-use super::{fused::relative_scores, init::Initializer};
+use super::{
+    fused::{AttentionMaps, relative_scores},
+    init::Initializer,
+};
 
 /// Projections shared by both kinds; `proj_p` is present for relative positions.
 #[derive(Module, Debug)]
@@ -26,6 +29,16 @@ impl MultiHeadAttention {
             proj_v: init.linear(width, width),
             proj_p: relative.then(|| init.linear(width, width)),
             heads,
+        }
+    }
+
+    pub(super) fn maps(&self) -> AttentionMaps<'_> {
+        AttentionMaps {
+            query: &self.proj_q,
+            key: &self.proj_k,
+            value: &self.proj_v,
+            relative: self.proj_p.as_ref(),
+            heads: self.heads,
         }
     }
 

@@ -4,11 +4,16 @@
 use burn::{
     module::{Module, Param},
     nn::Linear,
-    tensor::{FloatDType, Int, Tensor, TensorData},
+    tensor::{Int, Tensor, TensorData},
 };
 
 use super::{
-    conv_encoder::ConvEncoder, init::Initializer, precision::like, rows::select_rows, vit::VisionTransformer,
+    conv_encoder::ConvEncoder,
+    fused::{sampled_linear, weighted_rows},
+    init::Initializer,
+    precision::like,
+    rows::select_rows,
+    vit::VisionTransformer,
 };
 use crate::config::{ColorConfig, ModelConfig};
 
@@ -77,7 +82,9 @@ impl RgbNet {
         }
         if let Some(vit) = &self.vit {
             let images = like(images, &vit.pos_embed);
-            return self.sample_tokens(vit.forward(images).pyramid, choose);
+            let side = self.image_size / vit.patch_size();
+            let taps = PatchTaps::new(choose, self.image_size, side, batch);
+            return self.sample_patches(vit.forward_at(images, &taps.used), taps, choose);
         }
         let constant = self.constant.as_ref().map(Param::val);
         let constant = constant.unwrap_or_else(|| Tensor::zeros([self.out_dim], &images.device()));
@@ -102,30 +109,23 @@ impl RgbNet {
     /// around the chosen pixels are computed, and none is moved to its place in the map. Zeros without a transformer.
     pub fn sample_tokens(&self, tokens: Tensor<3>, choose: &PixelChoice) -> Tensor<3> {
         let [batch, patches, channels] = tokens.dims();
-        let Some(upscaling) = &self.output_upscaling else {
-            return Tensor::zeros([batch, choose.points, self.out_dim], &tokens.device());
-        };
-        let side = patches.isqrt();
-        let cells = UPSCALING * UPSCALING;
-        let (mut rows, weights) = choose.taps(self.image_size, side * UPSCALING, |row, column| {
-            let patch = row / UPSCALING * side + column / UPSCALING;
-            patch * cells + row % UPSCALING * UPSCALING + column % UPSCALING
-        });
-        let mut place = vec![None; batch * patches];
-        let mut used = Vec::new();
-        for row in &mut rows {
-            let patch = *row as usize / cells;
-            let at = *place[patch].get_or_insert_with(|| {
-                used.push(patch as i32);
-                used.len() - 1
-            });
-            *row = (at * cells) as i32 + *row % cells as i32;
-        }
+        let taps = PatchTaps::new(choose, self.image_size, patches.isqrt(), batch);
+        let used: Vec<i32> = taps.used.iter().map(|&patch| patch as i32).collect();
         let count = used.len();
         let used = Tensor::<1, Int>::from_data(TensorData::new(used, [count]), &tokens.device().inner());
         let tokens = select_rows(tokens.reshape([batch * patches, channels]), used);
-        let map = upscaling.forward(tokens).reshape([count * cells, self.out_dim]);
-        weighted_rows(map, rows, weights).reshape([batch, choose.points, self.out_dim])
+        self.sample_patches(tokens, taps, choose)
+    }
+
+    /// [`Self::sample_tokens`] from the tokens of the used patches only, `[n, 4 * embed_dim]`.
+    fn sample_patches(&self, tokens: Tensor<2>, taps: PatchTaps, choose: &PixelChoice) -> Tensor<3> {
+        let shape = [choose.batch, choose.points, self.out_dim];
+        match &self.output_upscaling {
+            Some(upscaling) => {
+                sampled_linear(tokens, upscaling, self.out_dim, taps.rows, taps.weights).reshape(shape)
+            }
+            None => Tensor::zeros(shape, &tokens.device()),
+        }
     }
 
     fn unfold(&self, upscaling: &Linear, tokens: Tensor<3>) -> Tensor<4> {
@@ -136,6 +136,36 @@ impl RgbNet {
             .reshape([batch, side, side, UPSCALING, UPSCALING, self.out_dim])
             .permute([0, 5, 1, 3, 2, 4]) // [B, C, side, 4, side, 4]
             .reshape([batch, self.out_dim, side * UPSCALING, side * UPSCALING])
+    }
+}
+
+/// Where bilinear samples of the transformer's up-sampled map read.
+struct PatchTaps {
+    /// Patches `[B * side * side]` that are read at all, image by image.
+    used: Vec<usize>,
+    /// Four rows per point in the list of the used patches' cells.
+    rows: Vec<i32>,
+    weights: Vec<f32>,
+}
+
+impl PatchTaps {
+    fn new(choose: &PixelChoice, image_size: usize, side: usize, batch: usize) -> Self {
+        let cells = UPSCALING * UPSCALING;
+        let (mut rows, weights) = choose.taps(image_size, side * UPSCALING, |row, column| {
+            let patch = row / UPSCALING * side + column / UPSCALING;
+            patch * cells + row % UPSCALING * UPSCALING + column % UPSCALING
+        });
+        let mut place = vec![None; batch * side * side];
+        let mut used = Vec::new();
+        for row in &mut rows {
+            let patch = *row as usize / cells;
+            let at = *place[patch].get_or_insert_with(|| {
+                used.push(patch);
+                used.len() - 1
+            });
+            *row = (at * cells) as i32 + *row % cells as i32;
+        }
+        Self { used, rows, weights }
     }
 }
 
@@ -208,19 +238,4 @@ fn sample_map(map: Tensor<4>, choose: &PixelChoice, image_size: usize) -> Tensor
     let (rows, weights) = choose.taps(image_size, side, |row, column| row * side + column);
     let map = map.permute([0, 2, 3, 1]).reshape([batch * side * side, channels]);
     weighted_rows(map, rows, weights).reshape([choose.batch, choose.points, channels])
-}
-
-/// Sums of four weighted rows of `map` `[R, C]` each: `[n, C]` from `4 n` rows and weights.
-fn weighted_rows(map: Tensor<2>, rows: Vec<i32>, weights: Vec<f32>) -> Tensor<2> {
-    let [_, channels] = map.dims();
-    let device = map.device().inner();
-    let count = rows.len();
-    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
-    let weights = Tensor::<3>::from_data(TensorData::new(weights, [count / 4, 4, 1]), &device);
-    let weights = weights.cast(FloatDType::from(map.dtype()));
-    select_rows(map, rows)
-        .reshape([count / 4, 4, channels])
-        .mul(weights)
-        .sum_dim(1)
-        .reshape([count / 4, channels])
 }

@@ -10,7 +10,7 @@ use burn::{
 };
 
 use super::{
-    fused::{add_layer_norm, focus_cubed},
+    fused::{FocusedMaps, add_layer_norm, dense_layer, focus_cubed},
     init::Initializer,
     transformer::{AttentionOutput, LAYER_NORM_EPSILON},
 };
@@ -93,6 +93,35 @@ impl LinearTransformerLayer {
             },
             output: AttentionOutput::new(width, init),
         }
+    }
+
+    /// Dense tokens `[B, 1 + N, C]` attend to sparse ones `[B, 1 + M, C]`, background excluded on both sides; the sparse
+    /// background token replaces the dense one.
+    pub fn spread(&self, dense: Tensor<3>, sparse: Tensor<3>) -> Tensor<3> {
+        if let Some(y) = self.fused(&dense, &sparse) {
+            return y;
+        }
+        let ([batch, tokens, _], [_, sparse_tokens, _]) = (dense.dims(), sparse.dims());
+        let background = sparse.clone().slice([0..batch, 0..1]);
+        let memory = sparse.slice([0..batch, 1..sparse_tokens]);
+        let points = self.forward(dense.slice([0..batch, 1..tokens]), memory);
+        Tensor::cat(vec![background, points], 1)
+    }
+
+    fn fused(&self, dense: &Tensor<3>, sparse: &Tensor<3>) -> Option<Tensor<3>> {
+        let LinearAttentionLayer { attention, linear, norm } = &self.attention;
+        if attention.focusing_factor != 3.0 {
+            return None;
+        }
+        let maps = FocusedMaps {
+            query: &attention.proj_q,
+            key: &attention.proj_k,
+            value: &attention.proj_v,
+            scale: &softplus(attention.scale.val(), 1.0),
+            heads: attention.heads,
+            epsilon: EPSILON,
+        };
+        dense_layer(&maps, &self.output.maps_after(linear, norm), dense, sparse)
     }
 
     /// `x` `[B, N, C]` attends to `memory` `[B, M, C]`.

@@ -10,6 +10,7 @@ use burn::{
 };
 
 use super::{
+    fused::{cosines, tokens},
     init::Initializer,
     precision::{like, single},
 };
@@ -100,13 +101,8 @@ impl MatchingHead<'_> {
     /// Point features `[B, N, input]` to tokens with the background in front `[B, 1 + N, C]`; `extra` is added to the
     /// projected points.
     pub fn tokens(&self, features: Tensor<3>, extra: Option<Tensor<3>>) -> Tensor<3> {
-        let x = self.in_proj.forward(like(features, &self.in_proj.weight));
-        let x = match extra {
-            Some(extra) => x + like(extra, &self.in_proj.weight),
-            None => x,
-        };
-        let [batch, _, width] = x.dims();
-        Tensor::cat(vec![self.bg_token.val().expand([batch, 1, width]), x], 1)
+        let extra = extra.map(|extra| like(extra, &self.in_proj.weight));
+        tokens(like(features, &self.in_proj.weight), self.in_proj, extra, self.bg_token.val())
     }
 
     /// Similarity and overlap after block `index` from the tokens `[B, 1 + N, C]` of both clouds.
@@ -126,8 +122,7 @@ impl MatchingHead<'_> {
                 })
             })
         };
-        let [query, reference] = [query, reference].map(|tokens| single(self.out_proj.forward(tokens)));
-        let mut similarity = BlockOutput::cosine_similarity(query, reference, self.temperature);
+        let mut similarity = cosines(query, reference, self.out_proj, self.temperature);
         let (overlap, mut background_overlap) = (part(|n| 1..n), None);
         if let (true, Some([query, reference])) = (self.overlap_features, scores.clone()) {
             // Paper, overlap-aware correlation: features scaled by the confidences (the background's, too) before the

@@ -31,7 +31,7 @@ pub use matching::BlockOutput;
 pub use positional_encoding::{GroupTensors, PositionalEncoding};
 pub use sparse_to_dense::{DenseTokens, SparseToDenseTransformer};
 pub use stages::{CoarseInput, CoarsePointMatching, FineInput, FinePointMatching, Supervision};
-pub use tensors::{CloudTensors, PairTensors, PoseTensors, group_tensors};
+pub use tensors::{CloudTensors, PairTensors, PoseTensors, group_tensors, into_group_tensors};
 pub use transformer::{GeometricTransformer, TransformerLayer};
 pub use vit::VisionTransformer;
 
@@ -81,14 +81,17 @@ impl UnoPose {
 
     /// Colour features and structure embedding of a batch of clouds.
     pub fn encode(&self, cloud: &CloudTensors) -> CloudFeatures {
-        CloudFeatures {
-            dense: self.feature_extraction.forward(cloud.images.clone(), &cloud.choose),
-            embedding: self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone()),
-        }
+        self.encode_structure(cloud, self.feature_extraction.forward(cloud.images.clone(), &cloud.choose))
     }
 
-    /// [`Self::encode`] of two batches of clouds. Clouds of equal sizes share the pass over their images: products of
-    /// more rows are faster.
+    /// [`Self::encode`] with colour features `[B, N, C_color]` that are already there.
+    pub fn encode_structure(&self, cloud: &CloudTensors, colors: Tensor<3>) -> CloudFeatures {
+        let embedding = self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone());
+        CloudFeatures { dense: colors, embedding }
+    }
+
+    /// [`Self::encode`] of two batches of clouds. Clouds of equal sizes share the pass over their images, which
+    /// reads the weights once, and the tables of the structure embedding.
     pub fn encode_both(&self, a: &CloudTensors, b: &CloudTensors) -> [CloudFeatures; 2] {
         let (first, second) = (a.points.dims()[0], b.points.dims()[0]);
         if a.choose.points() != b.choose.points() {
@@ -96,9 +99,19 @@ impl UnoPose {
         }
         let images = Tensor::cat(vec![a.images.clone(), b.images.clone()], 0);
         let dense = self.feature_extraction.forward(images, &a.choose.chain(&b.choose));
-        [(a, 0, first), (b, first, second)].map(|(cloud, start, count)| CloudFeatures {
-            dense: dense.clone().narrow(0, start, count),
-            embedding: self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone()),
+        let colors =
+            [(0, first), (first, second)].map(|(start, count)| dense.clone().narrow(0, start, count));
+        if a.angles.dims()[1..] != b.angles.dims()[1..] {
+            let [of_a, of_b] = colors;
+            return [self.encode_structure(a, of_a), self.encode_structure(b, of_b)];
+        }
+        let distances = Tensor::cat(vec![a.distances.clone(), b.distances.clone()], 0);
+        let angles = Tensor::cat(vec![a.angles.clone(), b.angles.clone()], 0);
+        let embedding = self.geo_embedding.forward(distances, angles);
+        let [of_a, of_b] = colors;
+        [(of_a, 0, first), (of_b, first, second)].map(|(dense, start, count)| CloudFeatures {
+            dense,
+            embedding: embedding.clone().narrow(0, start, count),
         })
     }
 

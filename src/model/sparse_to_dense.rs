@@ -63,14 +63,7 @@ impl SparseToDenseTransformer {
         (self.spread(query, sparse_query), self.spread(reference, sparse_reference))
     }
 
-    /// The dense points attend to the sparse ones, background excluded on both sides; the sparse background token
-    /// replaces the dense one.
     fn spread(&self, dense: DenseTokens, sparse: Tensor<3>) -> DenseTokens {
-        let [batch, tokens, _] = dense.features.dims();
-        let sparse_tokens = sparse.dims()[1];
-        let background = sparse.clone().slice([0..batch, 0..1]);
-        let memory = sparse.slice([0..batch, 1..sparse_tokens]);
-        let points = self.dense_layer.forward(dense.features.slice([0..batch, 1..tokens]), memory);
-        DenseTokens { features: Tensor::cat(vec![background, points], 1), ..dense }
+        DenseTokens { features: self.dense_layer.spread(dense.features, sparse), ..dense }
     }
 }

@@ -130,30 +130,46 @@ pub fn group_tensors(
     device: &Device,
 ) -> [GroupTensors; 2] {
     std::array::from_fn(|scale| {
-        let batch = groups.len();
-        let n = groups.first().map_or(0, |g| g[scale].counts.len());
-        let k = groups.first().map_or(0, |g| g[scale].samples);
-        let channels = groups.first().map_or(6, |g| g[scale].features.len() / (n * k).max(1));
-        let counts: Vec<u32> = groups.iter().flat_map(|g| &g[scale].counts).copied().collect();
-        let mask = (!config.quirks.batchnorm_counts_padding).then(|| {
-            let mut mask = vec![0f32; batch * n * k];
-            let rows = mask.chunks_exact_mut(k.max(1));
-            for (row, &count) in rows.zip(&counts) {
-                // A centre without neighbours still has one (zero) row that counts.
-                row[..(count as usize).clamp(1, k)].fill(1.0);
-            }
-            Tensor::from_data(TensorData::new(mask, [batch * n * k, 1]), device)
+        let mut joined = groups.first().map_or_else(BallGroups::default, |first| BallGroups {
+            samples: first[scale].samples,
+            ..BallGroups::default()
         });
-        GroupTensors {
-            features: float(
-                [batch, n, k, channels],
-                groups.iter().map(|g| g[scale].features.as_slice()),
-                device,
-            ),
-            counts,
-            mask,
+        for group in groups {
+            joined.features.extend_from_slice(&group[scale].features);
+            joined.counts.extend_from_slice(&group[scale].counts);
         }
+        of_scale(joined, groups.len(), config, device)
     })
+}
+
+/// [`group_tensors`] of neighbourhoods that nobody needs any more: those of a single cloud are not copied.
+pub fn into_group_tensors(
+    groups: Vec<[BallGroups; 2]>,
+    config: &ModelConfig,
+    device: &Device,
+) -> [GroupTensors; 2] {
+    match <[_; 1]>::try_from(groups) {
+        Ok([single]) => single.map(|scale| of_scale(scale, 1, config, device)),
+        Err(groups) => group_tensors(&groups.iter().collect::<Vec<_>>(), config, device),
+    }
+}
+
+/// One scale of `batch` clouds, one after the other.
+fn of_scale(groups: BallGroups, batch: usize, config: &ModelConfig, device: &Device) -> GroupTensors {
+    let BallGroups { samples: k, features, counts } = groups;
+    let n = counts.len() / batch.max(1);
+    let channels = features.len().checked_div(counts.len() * k).unwrap_or(6);
+    let mask = (!config.quirks.batchnorm_counts_padding).then(|| {
+        let mut mask = vec![0f32; batch * n * k];
+        let rows = mask.chunks_exact_mut(k.max(1));
+        for (row, &count) in rows.zip(&counts) {
+            // A centre without neighbours still has one (zero) row that counts.
+            row[..(count as usize).clamp(1, k)].fill(1.0);
+        }
+        Tensor::from_data(TensorData::new(mask, [batch * n * k, 1]), device)
+    });
+    let features = Tensor::from_data(TensorData::new(features, [batch, n, k, channels]), device);
+    GroupTensors { features, counts, mask }
 }
 
 fn float<'a, const D: usize>(

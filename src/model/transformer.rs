@@ -6,7 +6,11 @@ use burn::{
     tensor::{Tensor, activation::relu},
 };
 
-use super::{attention::MultiHeadAttention, fused::add_layer_norm, init::Initializer};
+use super::{
+    attention::MultiHeadAttention,
+    fused::{TokenMaps, add_layer_norm, attention_layer},
+    init::Initializer,
+};
 
 pub(super) const LAYER_NORM_EPSILON: f64 = 1e-5;
 
@@ -49,6 +53,18 @@ impl AttentionOutput {
         }
     }
 
+    /// With the attention's output projection and norm in front.
+    pub(super) fn maps_after<'a>(&'a self, linear: &'a Linear, norm: &'a LayerNorm) -> TokenMaps<'a> {
+        TokenMaps {
+            linear,
+            norm,
+            expand: &self.expand,
+            squeeze: &self.squeeze,
+            output_norm: &self.norm,
+            epsilon: LAYER_NORM_EPSILON,
+        }
+    }
+
     /// `[B, N, C]` in and out.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let hidden = self.squeeze.forward(relu(self.expand.forward(x.clone())));
@@ -70,6 +86,11 @@ impl TransformerLayer {
 
     /// `x` `[B, N, C]` attends to `memory` `[B, M, C]`.
     pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, embedding: Option<Tensor<4>>) -> Tensor<3> {
+        let AttentionLayer { attention, linear, norm } = &self.attention;
+        let tail = self.output.maps_after(linear, norm);
+        if let Some(y) = attention_layer(&attention.maps(), &tail, &x, &memory, embedding.as_ref()) {
+            return y;
+        }
         let attended = self.attention.attention.forward(x.clone(), memory, embedding);
         let attended = self.attention.linear.forward(attended);
         let x = add_layer_norm(&self.attention.norm, LAYER_NORM_EPSILON, attended, x);

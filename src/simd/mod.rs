@@ -3,8 +3,10 @@
 //! The functions here are written so that the compiler can turn loops over them into vector code; [`vectorised`]
 //! compiles a loop for several instruction sets and picks one at run time.
 
+mod panel;
 mod product;
 
+pub use panel::{Blocks, PANEL, add_panel};
 pub use product::{add_product, add_transposed_product};
 
 /// Runs `work` in a version compiled for this CPU (AVX-512, AVX2 or the target's baseline).
@@ -52,6 +54,28 @@ pub fn gelu(x: f32) -> f32 {
     0.5 * x * (1.0 + erf(x * std::f32::consts::FRAC_1_SQRT_2))
 }
 
+/// Sum of `f(value)` in 16 independent lanes.
+#[inline(always)]
+pub fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
+    let (runs, rest) = values.as_chunks::<16>();
+    let mut lanes = [0.0f32; 16];
+    for run in runs {
+        lanes.iter_mut().zip(run).for_each(|(l, &v)| *l += f(v));
+    }
+    total(lanes) + rest.iter().map(|&v| f(v)).sum::<f32>()
+}
+
+/// Sum of the lanes by halves, which stay vectors.
+#[inline(always)]
+fn total(mut lanes: [f32; 16]) -> f32 {
+    for half in [8, 4, 2, 1] {
+        for l in 0..half {
+            lanes[l] += lanes[l + half];
+        }
+    }
+    lanes[0]
+}
+
 /// Dot product in 16 independent lanes.
 #[inline(always)]
 pub fn dot(a: &[f32], b: &[f32]) -> f32 {
@@ -63,7 +87,7 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
             lanes[l] += x[l] * y[l];
         }
     }
-    lanes.iter().sum::<f32>() + rest_a.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
+    total(lanes) + rest_a.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
 }
 
 /// [`dot`] of four slices with one, which is read once.
@@ -81,9 +105,12 @@ pub fn dots(a: [&[f32]; 4], b: &[f32]) -> [f32; 4] {
             lanes[3][l] += s[l] * y[l];
         }
     }
-    std::array::from_fn(|i| {
-        lanes[i].iter().sum::<f32>() + split[i].1.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
-    })
+    let [a, b, c, d] = lanes;
+    let mut dots = [total(a), total(b), total(c), total(d)];
+    for (dot, (_, rest)) in dots.iter_mut().zip(split) {
+        *dot += rest.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>();
+    }
+    dots
 }
 
 #[cfg(test)]

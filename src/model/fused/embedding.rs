@@ -20,7 +20,7 @@ pub fn interpolated_embedding(
     let [_, width] = tables[0].dims();
     let (distances, angles) = (Values::of(distances)?, Values::of(angles)?);
     if let (Some(d), Some(a)) = (Values::of(&tables[0]), Values::of(&tables[1])) {
-        let mut rows = vec![0.0; n * width];
+        let mut rows = vec![0.0f32; n * width];
         let inputs = distances.par_chunks(PAIRS).zip(angles.par_chunks(PAIRS * k));
         rows.par_chunks_mut(PAIRS * width).zip(inputs).for_each(|(rows, (distances, angles))| {
             vectorised(|| {

@@ -25,17 +25,23 @@ pub fn focus_cubed(x: &Tensor<3>, scale: &Tensor<3>, epsilon: f32) -> Option<Ten
 fn forward(x: &[f32], scale: &[f32], epsilon: f32) -> Vec<f32> {
     let width = scale.len();
     let mut out = vec![0.0f32; x.len()];
-    out.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * width)).for_each(|(out, x)| {
-        let mut base = vec![0.0f32; width];
-        vectorised(|| {
-            for (out, x) in out.chunks_exact_mut(width).zip(x.chunks_exact(width)) {
-                let [before, after] = cube(&mut base, out, x, scale, epsilon);
-                let ratio = before / after;
-                out.iter_mut().for_each(|o| *o *= ratio);
-            }
-        });
-    });
+    out.par_chunks_mut(ROWS * width)
+        .zip(x.par_chunks(ROWS * width))
+        .for_each(|(out, x)| focus_rows(out, x, scale, epsilon));
     out
+}
+
+/// The feature map of a few rows.
+pub(super) fn focus_rows(out: &mut [f32], x: &[f32], scale: &[f32], epsilon: f32) {
+    let width = scale.len();
+    let mut base = vec![0.0f32; width];
+    vectorised(|| {
+        for (out, x) in out.chunks_exact_mut(width).zip(x.chunks_exact(width)) {
+            let [before, after] = cube(&mut base, out, x, scale, epsilon);
+            let ratio = before / after;
+            out.iter_mut().for_each(|o| *o *= ratio);
+        }
+    });
 }
 
 /// `y` and its cubes; the norms of both.

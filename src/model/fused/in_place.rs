@@ -7,8 +7,8 @@ use burn::{
 };
 use rayon::prelude::*;
 
-use super::{layer_norm::sum, tape::Values};
-use crate::simd::{self, vectorised};
+use super::tape::Values;
+use crate::simd::{self, sum, vectorised};
 
 /// Values per parallel task.
 const RUN: usize = 1 << 14;

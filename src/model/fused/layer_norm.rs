@@ -7,7 +7,7 @@ use super::{
     linear_relu::merged,
     tape::{Gradient, Input, Values, plain, record},
 };
-use crate::simd::{dot, vectorised};
+use crate::simd::{dot, sum, vectorised};
 
 /// Rows per parallel task; fixed, so that sums over rows do not depend on the number of threads.
 const ROWS: usize = 64;
@@ -57,17 +57,6 @@ fn forward(x: &[f32], residual: &[f32], gamma: &[f32], beta: &[f32], epsilon: f3
         },
     );
     (y, scales)
-}
-
-/// Sum of `f(value)` in 16 independent lanes.
-#[inline(always)]
-pub(super) fn sum(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
-    let (runs, rest) = values.as_chunks::<16>();
-    let mut lanes = [0.0f32; 16];
-    for run in runs {
-        lanes.iter_mut().zip(run).for_each(|(l, &v)| *l += f(v));
-    }
-    lanes.iter().sum::<f32>() + rest.iter().map(|&v| f(v)).sum::<f32>()
 }
 
 #[derive(Clone, Debug)]

@@ -5,27 +5,42 @@
 //! everywhere else. The tests hold the two against each other.
 
 #[cfg(feature = "flex")]
+mod attention_layer;
+#[cfg(feature = "flex")]
+mod dense_layer;
+#[cfg(feature = "flex")]
 mod embedding;
+mod ends;
 #[cfg(feature = "flex")]
 mod focus;
 #[cfg(feature = "flex")]
 mod in_place;
 #[cfg(feature = "flex")]
 mod layer_norm;
+#[cfg_attr(not(feature = "flex"), allow(unused_variables, dead_code))]
+mod layers;
 #[cfg(feature = "flex")]
 mod linear_relu;
 #[cfg(feature = "flex")]
+mod match_tokens;
+#[cfg(feature = "flex")]
 mod moments;
+#[cfg(feature = "flex")]
+mod panels;
 #[cfg(feature = "flex")]
 mod pooled;
 #[cfg(feature = "flex")]
 mod relative_scores;
+#[cfg(feature = "flex")]
+mod rows;
 #[cfg(feature = "flex")]
 mod self_attention;
 #[cfg(feature = "flex")]
 mod tape;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "flex")]
+mod vision_block;
 
 use burn::{
     nn::{LayerNorm, Linear},
@@ -34,6 +49,12 @@ use burn::{
         module::{attention, layer_norm, linear},
         ops::AttentionModuleOptions,
     },
+};
+
+pub use ends::{cosines, sampled_linear, tokens, weighted_rows};
+pub use layers::{
+    AttentionMaps, FocusedMaps, TokenMaps, VisionMaps, attention_layer, dense_layer, vision_block,
+    vision_block_at,
 };
 
 /// Rows per parallel task; fixed, so that sums over rows do not depend on the number of threads.

@@ -28,8 +28,11 @@ pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>)
     let read: Vec<Vec<f32>> = (0..batch * heads)
         .into_par_iter()
         .map(|item| {
-            let rows = &values[item / heads * tokens * joint..][..tokens * joint];
-            head(&Rows { values: rows, joint, d: width / heads }, item % heads, &bias)
+            let image = &values[item / heads * tokens * joint..][..tokens * joint];
+            let d = width / heads;
+            let parts = [0, 1, 2].map(|part| &image[part * width + item % heads * d..]);
+            let rows = Rows { parts, stride: joint, d, counts: [tokens; 2] };
+            head(&rows, item % heads, &bias)
         })
         .collect();
     out.par_chunks_exact_mut((tokens * width).max(1)).zip(read.par_chunks(heads)).for_each(|(out, read)| {
@@ -42,27 +45,25 @@ pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>)
     Some(plain(out, [batch, tokens, width]))
 }
 
-/// Joint projections of an image's tokens, and the channels of a head.
-struct Rows<'a> {
-    values: &'a [f32],
-    joint: usize,
-    d: usize,
+/// Query, key and value of an image's tokens in a head: row `t` of each lies at `t * stride`.
+pub(super) struct Rows<'a> {
+    pub parts: [&'a [f32]; 3],
+    pub stride: usize,
+    /// Channels of a head.
+    pub d: usize,
+    /// Queries, then keys and values.
+    pub counts: [usize; 2],
 }
 
 impl Rows<'_> {
-    fn tokens(&self) -> usize {
-        self.values.len() / self.joint
-    }
-
-    /// Query, key or value (0, 1, 2) of each token in a head, `[d]` each.
-    fn part(&self, index: usize, head: usize) -> impl Iterator<Item = &[f32]> {
-        let start = index * (self.joint / 3) + head * self.d;
-        self.values.chunks_exact(self.joint).map(move |row| &row[start..start + self.d])
+    /// Query, key or value (0, 1, 2) of each token, `[d]` each.
+    fn part(&self, index: usize) -> impl Iterator<Item = &[f32]> {
+        self.parts[index].chunks(self.stride).take(self.counts[index.min(1)]).map(|row| &row[..self.d])
     }
 }
 
 /// [`PositionBias`] in memory.
-enum Bias {
+pub(super) enum Bias {
     None,
     Table { values: Values, tokens: usize },
     Axes { rows: Values, columns: Values, height: usize, width: usize },
@@ -82,12 +83,12 @@ impl Bias {
     }
 
     /// Products of each query with the embeddings of the keys' rows, then of their columns: `[T, h + w]`.
-    fn products(&self, rows: &Rows, head: usize) -> Vec<f32> {
+    fn products(&self, rows: &Rows) -> Vec<f32> {
         let Self::Axes { rows: by_row, columns: by_column, height, width } = self else { return Vec::new() };
         let (h, w, d) = (*height, *width, rows.d);
-        let mut products = vec![0.0f32; rows.tokens() * (h + w)];
+        let mut products = vec![0.0f32; rows.counts[0] * (h + w)];
         vectorised(|| {
-            for (t, (out, query)) in products.chunks_exact_mut(h + w).zip(rows.part(0, head)).enumerate() {
+            for (t, (out, query)) in products.chunks_exact_mut(h + w).zip(rows.part(0)).enumerate() {
                 let of_row = by_row[t / w * h * d..][..h * d].chunks_exact(d);
                 let of_column = by_column[t % w * w * d..][..w * d].chunks_exact(d);
                 out.iter_mut().zip(of_row.chain(of_column)).for_each(|(o, e)| *o = dot(query, e));
@@ -120,25 +121,26 @@ impl Bias {
     }
 }
 
-/// What a head reads, `[T, d]`.
-fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
-    let (tokens, d) = (rows.tokens(), rows.d);
+/// What the queries of a head read, `[T, d]`.
+pub(super) fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
+    let ([count, tokens], d) = (rows.counts, rows.d);
     let blocks = tokens.div_ceil(KEYS);
     let columns = tokens.div_ceil(blocks.max(1)).next_multiple_of(LANES);
     let present = |block: usize| columns.min(tokens.saturating_sub(block * columns));
     let scale = 1.0 / (d as f32).sqrt();
     // Keys `[block, d, columns]`; padded ones get values of zero.
-    let (mut queries, mut keys) = (vec![0.0f32; tokens * d], vec![0.0f32; blocks * d * columns]);
+    let (mut queries, mut keys) = (vec![0.0f32; count * d], vec![0.0f32; blocks * d * columns]);
     let mut values = vec![0.0f32; blocks * columns * d];
-    let parts = rows.part(0, head).zip(rows.part(1, head)).zip(rows.part(2, head));
-    for (t, ((query, key), value)) in parts.enumerate() {
-        queries[t * d..][..d].iter_mut().zip(query).for_each(|(q, x)| *q = x * scale);
+    for (scaled, query) in queries.chunks_exact_mut(d).zip(rows.part(0)) {
+        scaled.iter_mut().zip(query).for_each(|(q, x)| *q = x * scale);
+    }
+    for (t, (key, value)) in rows.part(1).zip(rows.part(2)).enumerate() {
         let keys = &mut keys[t / columns * d * columns..][..d * columns];
         key.iter().enumerate().for_each(|(c, &x)| keys[c * columns + t % columns] = x);
         values[t * d..][..d].copy_from_slice(value);
     }
-    let products = bias.products(rows, head);
-    let mut read = vec![0.0f32; tokens * d];
+    let products = bias.products(rows);
+    let mut read = vec![0.0f32; count * d];
     let mut scores = vec![0.0f32; blocks * ROWS * columns];
     for (chunk, (read, queries)) in read.chunks_mut(ROWS * d).zip(queries.chunks(ROWS * d)).enumerate() {
         let count = queries.len() / d;
@@ -176,7 +178,7 @@ fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
 }
 
 #[inline(always)]
-fn largest(row: &[f32]) -> f32 {
+pub(super) fn largest(row: &[f32]) -> f32 {
     let mut largest = [f32::NEG_INFINITY; LANES];
     let (runs, rest) = row.as_chunks::<LANES>();
     for run in runs {
@@ -187,7 +189,7 @@ fn largest(row: &[f32]) -> f32 {
 
 /// Replaces scores by their exponentials relative to the largest; returns their sum.
 #[inline(always)]
-fn exponentials(row: &mut [f32], largest: f32) -> f32 {
+pub(super) fn exponentials(row: &mut [f32], largest: f32) -> f32 {
     let mut sums = [0.0f32; LANES];
     let (runs, rest) = row.as_chunks_mut::<LANES>();
     for run in runs {

@@ -314,3 +314,56 @@ fn gelu_in_place_and_after_a_norm() {
     close(layer_norm_gelu(x.clone(), gamma, beta, 1e-6), expected, 1e-5, "gelu of the norm");
     close(x, kept, 1e-12, "the input of others");
 }
+
+/// The layers' own forms run on the tape.
+#[test]
+fn matching_layers_equal_their_plain_forms() {
+    use crate::model::{Initializer, LinearTransformerLayer, TransformerLayer};
+    let device = Device::default();
+    let init = &mut Initializer::new(3, &device);
+    // Four heads at once and another number; counts beyond one block of rows and not a multiple of the vectors.
+    for (width, heads, n, m) in [(64, 4, 61, 37), (48, 3, 25, 16), (40, 2, 5, 3)] {
+        let layer = TransformerLayer::new(width, heads, true, init);
+        let (x, memory) = (random([2, n, width], &device), random([2, m, width], &device));
+        let embedding = random([2, n, m, width], &device);
+        let plain = layer.forward(x.clone().autodiff(), memory.clone().autodiff(), Some(embedding.clone()));
+        close(layer.forward(x, memory, Some(embedding)), plain.inner(), 2e-5, "relative");
+        let layer = TransformerLayer::new(width, heads, false, init);
+        let (x, memory) = (random([2, n, width], &device), random([2, m, width], &device));
+        let plain = layer.forward(x.clone().autodiff(), memory.clone().autodiff(), None);
+        close(layer.forward(x, memory, None), plain.inner(), 2e-5, "cross");
+        let layer = LinearTransformerLayer::new(width, heads, 3.0, init);
+        let (dense, sparse) = (random([2, 3 * n, width], &device), random([2, m, width], &device));
+        let plain = layer.spread(dense.clone().autodiff(), sparse.clone().autodiff());
+        close(layer.spread(dense, sparse), plain.inner(), 2e-5, "dense");
+    }
+}
+
+#[test]
+fn ends_of_the_matching_stages_equal_their_plain_forms() {
+    let device = Device::default();
+    let map = burn::nn::LinearConfig::new(30, 48).init(&device);
+    // Counts beyond a block of rows and one of columns.
+    for (n, m) in [(101, 530), (7, 3)] {
+        let (a, b) = (random([2, n, 30], &device), random([2, m, 30], &device));
+        let (extra, background) = (random([2, n, 48], &device), random([1, 1, 48], &device));
+        let on_tape = |x: &Tensor<3>| x.clone().autodiff();
+        let plain = tokens(on_tape(&a), &map, Some(extra.clone()), background.clone()).inner();
+        close(tokens(a.clone(), &map, Some(extra), background.clone()), plain, 1e-5, "tokens");
+        let plain = tokens(on_tape(&a), &map, None, background.clone()).inner();
+        close(tokens(a.clone(), &map, None, background), plain, 1e-5, "tokens alone");
+        let plain = cosines(on_tape(&a), on_tape(&b), &map, 0.1).inner();
+        close(cosines(a, b, &map, 0.1), plain, 1e-4, "cosines");
+    }
+}
+
+#[test]
+fn samples_of_a_linear_map_equal_their_plain_form() {
+    let device = Device::default();
+    let map = burn::nn::LinearConfig::new(128, 3 * 64).init(&device);
+    let x = random([9, 128], &device);
+    let rows: Vec<i32> = (0..40).map(|i| (i * 11) % 27).collect();
+    let weights: Vec<f32> = (0..40).map(|i| (i % 5) as f32 / 4.0).collect();
+    let sampled = |x: Tensor<2>| sampled_linear(x, &map, 64, rows.clone(), weights.clone());
+    close(sampled(x.clone()), sampled(x.autodiff()).inner(), 1e-5, "samples");
+}

@@ -1,0 +1,235 @@
+//! Poses of prepared pairs: network forward passes on the device, pose solving on the host.
+
+use std::time::Instant;
+
+use burn::tensor::Device;
+use rayon::prelude::*;
+
+use super::{
+    CloudPair, EncodedReferences, InferError, Matched, PairEstimate, PairTrace, StageTimes, Uniforms,
+    host_assignments, pairs::with_positions, trace::sparse_points,
+};
+use crate::{
+    config::{HypothesisScore, ModelConfig},
+    data::{CloudInput, PreparedReference, positional_groups},
+    device::is_host,
+    geometry::{MutualFit, Pose, coarse_pose},
+    model::{CloudFeatures, CloudTensors, Supervision, UnoPose, into_group_tensors},
+};
+
+/// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
+/// Everything else is done for one pair at a time, whose tensors fit into the caches better than those of several; a
+/// structure embedding alone takes 40 MB (197 x 197 x 256 numbers).
+const COLORS_ON_HOST: usize = 4;
+
+/// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
+pub fn estimate_pairs(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> Result<Vec<PairEstimate>, InferError> {
+    let network = Network { model, config, device };
+    let at_once = if is_host(device) { 1 } else { pairs.len().max(1) };
+    let mut estimates = Vec::with_capacity(pairs.len());
+    for pairs in pairs.chunks(at_once) {
+        let start = Instant::now();
+        let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
+        let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
+        let [query, reference] = network.clouds(&pairs);
+        let [query_features, features] = model.encode_both(&query, &reference);
+        let encoded = with_positions(model, config, &references, features, device);
+        let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
+        let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        let sampling = Sampling { uniforms, first: estimates.len(), given: None };
+        let (traces, _) = network.match_encoded(&pairs, &clouds, sampling, times)?;
+        estimates.extend(poses(&traces, &pairs));
+    }
+    Ok(estimates)
+}
+
+/// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
+pub fn estimate_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    references: &[&EncodedReferences],
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
+    let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
+    Ok((poses(&traces, pairs), times))
+}
+
+fn poses(traces: &[PairTrace], pairs: &[CloudPair<'_>]) -> Vec<PairEstimate> {
+    traces.iter().zip(pairs).map(|(trace, pair)| trace.estimate(pair)).collect()
+}
+
+/// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
+/// the fine stage starts instead of at the coarse hypotheses.
+pub fn trace_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    references: &[&EncodedReferences],
+    uniforms: Uniforms<'_>,
+    given: Option<&[Pose]>,
+    device: &Device,
+) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+    let network = Network { model, config, device };
+    if !is_host(device) {
+        let start = Instant::now();
+        let Some(references) = EncodedReferences::batch(references) else {
+            return Ok((Vec::new(), StageTimes::default()));
+        };
+        let [query, reference] = network.clouds(pairs);
+        let query_features = model.encode(&query);
+        let clouds = EncodedClouds { query, query_features, reference, references: &references };
+        let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        return network.match_encoded(pairs, &clouds, Sampling { uniforms, first: 0, given }, times);
+    }
+    let (mut traces, mut times) = (Vec::with_capacity(pairs.len()), StageTimes::default());
+    for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
+        let start = Instant::now();
+        let [queries, _] = network.clouds(pairs);
+        let colors = model.feature_extraction.forward(queries.images, &queries.choose);
+        times.encode += start.elapsed().as_secs_f64();
+        for (index, (pair, references)) in pairs.iter().zip(references).enumerate() {
+            let start = Instant::now();
+            let pair = std::slice::from_ref(pair);
+            let [query, reference] = network.clouds(pair);
+            let query_features = model.encode_structure(&query, colors.clone().narrow(0, index, 1));
+            let clouds = EncodedClouds { query, query_features, reference, references };
+            let spent = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+            let first = traces.len();
+            let given = given.map(|starts| &starts[first..=first]);
+            let sampling = Sampling { uniforms, first, given };
+            let (trace, spent) = network.match_encoded(pair, &clouds, sampling, spent)?;
+            traces.extend(trace);
+            times.add(&spent);
+        }
+    }
+    Ok((traces, times))
+}
+
+/// Both sides of the pairs, encoded.
+struct EncodedClouds<'a> {
+    query: CloudTensors,
+    query_features: CloudFeatures,
+    reference: CloudTensors,
+    references: &'a EncodedReferences,
+}
+
+/// How the fine stage gets its starts: from sampled hypotheses, or `given` ones.
+#[derive(Clone, Copy)]
+struct Sampling<'a> {
+    uniforms: Uniforms<'a>,
+    /// Number of the first pair in the caller's list.
+    first: usize,
+    given: Option<&'a [Pose]>,
+}
+
+#[derive(Clone, Copy)]
+struct Network<'a> {
+    model: &'a UnoPose,
+    config: &'a ModelConfig,
+    device: &'a Device,
+}
+
+impl Network<'_> {
+    /// Queries and references of the pairs.
+    fn clouds(&self, pairs: &[CloudPair<'_>]) -> [CloudTensors; 2] {
+        let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+        let references: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
+        [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, self.config, self.device))
+    }
+
+    /// Matching and pose solving, with their times added to `times`.
+    fn match_encoded(
+        &self,
+        pairs: &[CloudPair<'_>],
+        clouds: &EncodedClouds<'_>,
+        Sampling { uniforms, first, given }: Sampling<'_>,
+        mut times: StageTimes,
+    ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+        let &Self { model, config, device } = self;
+        let EncodedClouds { query, query_features, reference, references } = clouds;
+        let mut clock = Instant::now();
+        let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
+        let coarse =
+            model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
+        let coarse = match coarse.last() {
+            Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
+            None => Vec::new(),
+        };
+        times.coarse = lap();
+
+        let initial: Vec<_> = pairs
+            .par_iter()
+            .zip(&coarse)
+            .enumerate()
+            .map(|(index, (&CloudPair { query, reference, .. }, matched))| {
+                let coarse = coarse_pose(
+                    &matched.assignment,
+                    &sparse_points(query),
+                    &sparse_points(reference),
+                    &config.hypotheses,
+                    uniforms.stream(first + index),
+                    config.quirks.degenerate_triplets,
+                );
+                match config.hypotheses.score {
+                    HypothesisScore::Distance => coarse,
+                    HypothesisScore::MutualFit => {
+                        let fit = MutualFit::new(&query.points, &reference.points);
+                        coarse.rescored(|pose| fit.score(pose))
+                    }
+                }
+            })
+            .collect();
+        times.hypotheses = lap();
+
+        let starts: Vec<Pose> = match given {
+            Some(starts) => starts.to_vec(),
+            None => initial.iter().map(|coarse| coarse.pose).collect(),
+        };
+        let fine = match (&model.fine_point_matching, &references.position) {
+            (Some(stage), Some(reference_position)) => {
+                let groups: Vec<_> = pairs
+                    .par_iter()
+                    .zip(&starts)
+                    .map(|(pair, start)| {
+                        let t_reference_query = start.inverse();
+                        let moved: Vec<[f32; 3]> =
+                            pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
+                        positional_groups(&moved, config)
+                    })
+                    .collect();
+                let groups = into_group_tensors(groups, config, device);
+                let blocks = model.fine(
+                    (query, query_features, stage.position(&groups)),
+                    (reference, &references.features, reference_position.clone()),
+                    Supervision::LastBlock,
+                );
+                blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
+            }
+            _ => None,
+        };
+        times.fine = lap();
+
+        let fine: Vec<Option<Matched>> = match fine {
+            Some(fine) => fine.into_iter().map(Some).collect(),
+            None => vec![None; pairs.len()],
+        };
+        let stages: Vec<_> = coarse.into_iter().zip(initial).zip(starts).zip(fine).collect();
+        let traces = pairs
+            .par_iter()
+            .zip(stages)
+            .map(|(pair, (((coarse, initial), start), fine))| {
+                PairTrace::new(pair, (coarse, initial), (start, fine))
+            })
+            .collect();
+        times.solve = lap();
+        Ok((traces, times))
+    }
+}

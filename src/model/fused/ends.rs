@@ -1,0 +1,66 @@
+//! Where the network reads points in and out: tokens, cosines and bilinear samples of linear maps.
+
+use burn::{
+    nn::Linear,
+    tensor::{FloatDType, Int, Tensor, TensorData},
+};
+
+use crate::model::{matching::BlockOutput, precision::single, rows::select_rows};
+
+/// Points `[B, N, K]` to tokens with a background token `[1, 1, C]` in front, `[B, 1 + N, C]`; `extra` is added to the
+/// mapped points.
+pub fn tokens(points: Tensor<3>, map: &Linear, extra: Option<Tensor<3>>, background: Tensor<3>) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = super::match_tokens::tokens(&points, map, extra.as_ref(), &background) {
+        return y;
+    }
+    let x = map.forward(points);
+    let x = match extra {
+        Some(extra) => x + extra,
+        None => x,
+    };
+    let [batch, _, width] = x.dims();
+    Tensor::cat(vec![background.expand([batch, 1, width]), x], 1)
+}
+
+/// Cosines of mapped tokens `[B, N, K]` and `[B, M, K]` over a temperature, `[B, N, M]`.
+pub fn cosines(a: Tensor<3>, b: Tensor<3>, map: &Linear, temperature: f64) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = super::match_tokens::cosines(&a, &b, map, (1.0 / temperature) as f32) {
+        return y;
+    }
+    BlockOutput::cosine_similarity(single(map.forward(a)), single(map.forward(b)), temperature)
+}
+
+/// Rows of `x W + b` are mapped `[cells, width]` to take apart: sums of four of the `[R * cells, width]` with `weights`,
+/// `[4 n]` rows and weights to `[n, width]`.
+pub fn sampled_linear(
+    x: Tensor<2>,
+    map: &Linear,
+    width: usize,
+    rows: Vec<i32>,
+    weights: Vec<f32>,
+) -> Tensor<2> {
+    #[cfg(feature = "flex")]
+    if let Some(y) = super::panels::sampled_linear(&x, map, width, &rows, &weights) {
+        return y;
+    }
+    let mapped = map.forward(x);
+    let count = mapped.shape().num_elements() / width;
+    weighted_rows(mapped.reshape([count, width]), rows, weights)
+}
+
+/// Sums of four weighted rows of `map` `[R, C]` each: `[n, C]` from `4 n` rows and weights.
+pub fn weighted_rows(map: Tensor<2>, rows: Vec<i32>, weights: Vec<f32>) -> Tensor<2> {
+    let [_, channels] = map.dims();
+    let device = map.device().inner();
+    let count = rows.len();
+    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
+    let weights = Tensor::<3>::from_data(TensorData::new(weights, [count / 4, 4, 1]), &device);
+    let weights = weights.cast(FloatDType::from(map.dtype()));
+    select_rows(map, rows)
+        .reshape([count / 4, 4, channels])
+        .mul(weights)
+        .sum_dim(1)
+        .reshape([count / 4, channels])
+}

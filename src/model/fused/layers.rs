@@ -1,0 +1,100 @@
+//! Whole layers without gradients, each in as few passes as its dependencies allow. Their plain forms are the layers' own
+//! `forward`s, which run when a function here answers `None`.
+
+use burn::{
+    nn::{LayerNorm, Linear},
+    tensor::Tensor,
+};
+
+/// What a transformer layer does with what its tokens read: output projection, residual, norm, then the feed-forward part
+/// `norm(x + squeeze(relu(expand(x))))`.
+pub struct TokenMaps<'a> {
+    pub linear: &'a Linear,
+    pub norm: &'a LayerNorm,
+    pub expand: &'a Linear,
+    pub squeeze: &'a Linear,
+    pub output_norm: &'a LayerNorm,
+    /// Of both norms, which keep it to themselves.
+    pub epsilon: f64,
+}
+
+/// Projections of softmax attention; `relative` is that of the structure embedding.
+pub struct AttentionMaps<'a> {
+    pub query: &'a Linear,
+    pub key: &'a Linear,
+    pub value: &'a Linear,
+    pub relative: Option<&'a Linear>,
+    pub heads: usize,
+}
+
+/// Projections of focused linear attention with exponent 3.
+pub struct FocusedMaps<'a> {
+    pub query: &'a Linear,
+    pub key: &'a Linear,
+    pub value: &'a Linear,
+    /// Positive, `[1, 1, C]`.
+    pub scale: &'a Tensor<3>,
+    pub heads: usize,
+    pub epsilon: f64,
+}
+
+/// Parameters of a vision transformer's block.
+pub struct VisionMaps<'a> {
+    pub norm1: &'a LayerNorm,
+    pub qkv: &'a Linear,
+    pub proj: &'a Linear,
+    pub norm2: &'a LayerNorm,
+    pub fc1: &'a Linear,
+    pub fc2: &'a Linear,
+    /// What the attention's and the perceptron's outputs are scaled by, `[C]`.
+    pub scales: [Tensor<1>; 2],
+    pub heads: usize,
+    /// Of both norms, which keep it to themselves.
+    pub epsilon: f64,
+}
+
+/// A block of a vision transformer, `[B, T, C]` in and out. `None` where it can't be fused: the block's own form is the
+/// plain one.
+pub fn vision_block(maps: &VisionMaps, x: &Tensor<3>) -> Option<Tensor<3>> {
+    #[cfg(feature = "flex")]
+    return super::vision_block::vision_block(maps, x);
+    #[cfg(not(feature = "flex"))]
+    return None;
+}
+
+/// [`vision_block`] for some of the tokens `[B * T]`, image by image, in `[n, C]`.
+pub fn vision_block_at(maps: &VisionMaps, x: &Tensor<3>, wanted: &[usize]) -> Option<Tensor<2>> {
+    #[cfg(feature = "flex")]
+    return super::vision_block::vision_block_at(maps, x, wanted);
+    #[cfg(not(feature = "flex"))]
+    return None;
+}
+
+/// A layer in which tokens `[B, N, C]` attend to `memory` `[B, M, C]`, with the structure embedding `[B, N, M, C]` where
+/// the attention has relative positions. `None` where it can't be fused: the layer's own form is the plain one.
+pub fn attention_layer(
+    maps: &AttentionMaps,
+    tail: &TokenMaps,
+    x: &Tensor<3>,
+    memory: &Tensor<3>,
+    embedding: Option<&Tensor<4>>,
+) -> Option<Tensor<3>> {
+    #[cfg(feature = "flex")]
+    return super::attention_layer::attention_layer(maps, tail, x, memory, embedding);
+    #[cfg(not(feature = "flex"))]
+    return None;
+}
+
+/// A layer in which the dense tokens `[B, 1 + N, C]` attend to the sparse ones `[B, 1 + M, C]`, without the background
+/// tokens in front; the sparse background replaces the dense one. `None` where it can't be fused.
+pub fn dense_layer(
+    maps: &FocusedMaps,
+    tail: &TokenMaps,
+    dense: &Tensor<3>,
+    sparse: &Tensor<3>,
+) -> Option<Tensor<3>> {
+    #[cfg(feature = "flex")]
+    return super::dense_layer::dense_layer(maps, tail, dense, sparse);
+    #[cfg(not(feature = "flex"))]
+    return None;
+}

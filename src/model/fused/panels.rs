@@ -1,0 +1,103 @@
+//! Linear maps of many columns, by panels of them.
+
+use std::ops::Range;
+
+use burn::{nn::Linear, tensor::Tensor};
+use rayon::prelude::*;
+
+use super::{
+    rows::{Map, Norm},
+    tape::{Values, plain},
+};
+use crate::simd::{Blocks, PANEL, add_panel, vectorised};
+
+/// Rows per parallel task.
+const ROWS: usize = 8;
+
+/// `end(x W + b)` by panels `[R, PANEL]`; `None` for sizes that are no multiples of [`PANEL`].
+pub fn mapped(x: &Blocks, map: &Map, end: impl Fn(&mut [f32]) + Sync) -> Option<Vec<Vec<f32>>> {
+    some_mapped(x, map, 0..map.outputs() / PANEL, end)
+}
+
+/// Some of the panels of [`mapped`].
+pub fn some_mapped(
+    x: &Blocks,
+    map: &Map,
+    which: Range<usize>,
+    end: impl Fn(&mut [f32]) + Sync,
+) -> Option<Vec<Vec<f32>>> {
+    if x.width() != map.inputs() || !map.outputs().is_multiple_of(PANEL) {
+        return None;
+    }
+    let panel = |(index, bias): (usize, &[f32])| {
+        let mut panel = Vec::with_capacity(x.rows() * PANEL);
+        (0..x.rows()).for_each(|_| panel.extend_from_slice(bias));
+        add_panel(&mut panel, x, map.weight(), index * PANEL);
+        end(&mut panel);
+        panel
+    };
+    let biases = map.bias().par_chunks_exact(PANEL).enumerate();
+    Some(biases.skip(which.start).take(which.len()).map(panel).collect())
+}
+
+/// `norm(x)`, `[R, C]`.
+pub fn normalised(x: &[f32], norm: &Norm, width: usize) -> Vec<f32> {
+    let mut y = vec![0.0f32; x.len()];
+    y.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * width)).for_each(|(y, x)| {
+        y.copy_from_slice(x);
+        vectorised(|| y.chunks_exact_mut(width).for_each(|row| norm.normalise(row)));
+    });
+    y
+}
+
+/// `x + gamma y` with `y` by panels, `[R, C]`.
+pub fn onto(x: &[f32], panels: &[Vec<f32>], gamma: &[f32]) -> Vec<f32> {
+    let width = panels.len() * PANEL;
+    let mut sum = vec![0.0f32; x.len()];
+    sum.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * width)).enumerate().for_each(
+        |(task, (sum, x))| {
+            vectorised(|| {
+                let rows = sum.chunks_exact_mut(width).zip(x.chunks_exact(width));
+                for (row, (sum, x)) in (task * ROWS..).zip(rows) {
+                    let channels = sum.chunks_exact_mut(PANEL).zip(x.chunks_exact(PANEL));
+                    for ((sum, x), (panel, gamma)) in channels.zip(panels.iter().zip(gamma.chunks(PANEL))) {
+                        let y = &panel[row * PANEL..][..PANEL];
+                        sum.iter_mut().zip(x).zip(y).zip(gamma).for_each(|(((s, x), y), g)| *s = x + g * y);
+                    }
+                }
+            });
+        },
+    );
+    sum
+}
+
+/// Sums of four weighted rows of `x W + b`, whose columns hold the rows of `width` one after the other.
+pub fn sampled_linear(
+    x: &Tensor<2>,
+    map: &Linear,
+    width: usize,
+    rows: &[i32],
+    weights: &[f32],
+) -> Option<Tensor<2>> {
+    let (map, values) = (Map::of(map)?, Values::of(x)?);
+    if width == 0 || !width.is_multiple_of(PANEL) {
+        return None;
+    }
+    let panels = mapped(&Blocks::of_rows(&values, x.dims()[1])?, &map, |_| {})?;
+    let cells = map.outputs() / width;
+    let mut out = vec![0.0f32; rows.len() / 4 * width];
+    let taps = rows.par_chunks_exact(4).zip(weights.par_chunks_exact(4));
+    out.par_chunks_exact_mut(width).zip(taps).with_min_len(ROWS).for_each(|(out, (rows, weights))| {
+        vectorised(|| {
+            for (&row, &weight) in rows.iter().zip(weights) {
+                let (row, cell) = (row as usize / cells, row as usize % cells);
+                let panels = &panels[cell * width / PANEL..];
+                for (out, panel) in out.chunks_exact_mut(PANEL).zip(panels) {
+                    let values = &panel[row * PANEL..][..PANEL];
+                    out.iter_mut().zip(values).for_each(|(o, v)| *o += weight * v);
+                }
+            }
+        });
+    });
+    Some(plain(out, [rows.len() / 4, width]))
+}
