@@ -12,6 +12,7 @@ use burn::{
 use super::{
     fused::{VisionMaps, linear_gelu, linear_onto, self_attention, vision_block, vision_block_at},
     init::Initializer,
+    rows::select_rows,
 };
 use crate::config::VitConfig;
 
@@ -155,7 +156,7 @@ impl VisionTransformer {
                 if hits == 0 {
                     continue;
                 }
-                x.clone().reshape([batch * tokens, channels]).select(0, rows.clone())
+                select_rows(x.clone().reshape([batch * tokens, channels]), rows.clone())
             };
             pyramid.extend(std::iter::repeat_n(self.norm.forward(chosen), hits));
         }
@@ -235,7 +236,7 @@ impl VitBlock {
             return y;
         }
         let [batch, tokens, channels] = x.dims();
-        self.forward(x).reshape([batch * tokens, channels]).select(0, rows.clone())
+        select_rows(self.forward(x).reshape([batch * tokens, channels]), rows.clone())
     }
 
     fn maps(&self) -> VisionMaps<'_> {
