@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use unopose::{
     config::{ColorConfig, Config, ModelConfig, Precision},
     data::{CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points},
-    device::{DeviceChoice, keep_freed_memory},
+    device::{DeviceChoice, keep_freed_memory, require_precision},
     geometry::{coarse_pose, fine_pose, match_assignment},
     infer::{CloudPair, EncodedReferences, Uniforms, encode_references, estimate_encoded, estimate_pairs},
     model::{CloudTensors, Supervision, UnoPose, group_tensors},
@@ -91,6 +91,7 @@ fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let config = Config::embedded(&arguments.config, &arguments.overrides)?.model;
     let (device, backend) = arguments.device.open()?;
+    require_precision(&device, arguments.precision)?;
     let model = UnoPose::new(&config, 0, &device).in_precision(arguments.precision);
     let matrix = || Tensor::<2>::random([1024, 1024], Distribution::Uniform(-1.0, 1.0), &device);
     let bench =

@@ -13,7 +13,7 @@ use ellipsoid_views::EllipsoidViews;
 use unopose::{
     config::Config,
     data::{PairSampler, TrainSample},
-    device::{DeviceChoice, keep_freed_memory},
+    device::{DeviceChoice, keep_freed_memory, require_precision},
     model::UnoPose,
     train::{Optimization, pass},
 };
@@ -50,6 +50,7 @@ fn main() -> anyhow::Result<()> {
     let mut config = Config::embedded(&arguments.config, &arguments.overrides)?;
     config.data.min_overlap = 0.0; // of two views of the same few, some hardly overlap
     let (device, backend) = arguments.device.open()?;
+    require_precision(&device, config.train.precision)?;
     let size = config.train.batch_size;
 
     let source = Arc::new(EllipsoidViews::new(24, 0));

@@ -4,7 +4,9 @@
 
 use std::{fmt, str::FromStr};
 
-use burn::tensor::Device;
+use burn::tensor::{Device, FloatDType};
+
+use crate::config::Precision;
 
 /// A backend by name, as given to `--device`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,6 +31,8 @@ pub enum DeviceError {
     NoHardware(DeviceChoice),
     #[error("this build has no backend at all; build it with one of the features flex, ndarray, wgpu, cuda")]
     NoBackend,
+    #[error("this device does not compute in {0}; expected f32, or a GPU with {0}")]
+    NoPrecision(Precision),
 }
 
 impl FromStr for DeviceChoice {
@@ -79,6 +83,15 @@ impl DeviceChoice {
 pub fn is_host(device: &Device) -> bool {
     let plain = device.clone().inner();
     [flex(), ndarray()].into_iter().flatten().any(|(host, _)| host == plain)
+}
+
+/// An error on a device that does not compute in this number type.
+pub fn require_precision(device: &Device, precision: Precision) -> Result<(), DeviceError> {
+    let computes = match precision {
+        Precision::F32 => true,
+        Precision::Bf16 => device.clone().inner().supports_dtype(FloatDType::BF16),
+    };
+    if computes { Ok(()) } else { Err(DeviceError::NoPrecision(precision)) }
 }
 
 /// Whether this is a graphics driver that computes on the processor, where the CPU backends are many times faster.

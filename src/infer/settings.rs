@@ -2,10 +2,10 @@
 
 use std::sync::OnceLock;
 
-use super::{Calibration, PoseEstimator, ReferenceColor, Refinement};
+use super::{Calibration, InferError, PoseEstimator, ReferenceColor, Refinement};
 use crate::{
     config::{ModelConfig, Precision},
-    device::DeviceChoice,
+    device::{DeviceChoice, require_precision},
     model::UnoPose,
 };
 
@@ -19,10 +19,11 @@ impl PoseEstimator {
 
     /// Number type of the network's products, single precision at first. Only the first conversion counts: digits that
     /// one has taken away are gone.
-    pub fn with_precision(mut self, precision: Precision) -> Self {
+    pub fn with_precision(mut self, precision: Precision) -> Result<Self, InferError> {
+        require_precision(&self.device, precision)?;
         self.model = self.model.in_precision(precision);
         self.network = OnceLock::new();
-        self
+        Ok(self)
     }
 
     /// Seed of point sampling and hypotheses, 0 at first.

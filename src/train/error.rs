@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    checkpoint::CheckpointError, config::ConfigError, data::DataError, formats::FormatError,
-    infer::InferError, mesh::MeshError, report::ReportError, synth::SynthError,
+    checkpoint::CheckpointError, config::ConfigError, data::DataError, device::DeviceError,
+    formats::FormatError, infer::InferError, mesh::MeshError, report::ReportError, synth::SynthError,
 };
 
 #[derive(Debug, thiserror::Error)]
@@ -25,6 +25,8 @@ pub enum TrainError {
     Mesh(#[from] MeshError),
     #[error(transparent)]
     Infer(#[from] InferError),
+    #[error("train.precision: {0}")]
+    Device(#[from] DeviceError),
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("{}: {message}", path.display())]

@@ -22,12 +22,14 @@ use crate::{
     checkpoint::{self, Meta},
     config::Config,
     data::{BatchStream, TrainSample},
+    device::require_precision,
     model::UnoPose,
 };
 
 /// Trains, or goes on training, in `options.out`.
 pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
     let begin = Instant::now();
+    require_precision(&options.device, config.train.precision)?;
     folder::prepare(config, options)?;
     if let Some(step) = folder::finished_step(config, &options.out)? {
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;

@@ -52,7 +52,7 @@ impl EstimatorOptions {
             None => PoseEstimator::load_default(self.device)?,
         };
         Ok(estimator
-            .with_precision(self.precision)
+            .with_precision(self.precision)?
             .with_seed(self.seed)
             .with_refinement(self.refine)
             .with_min_confidence(self.min_confidence))
