@@ -53,7 +53,11 @@ fn losses_and_gradients_stay_near_those_of_single_precision() {
     let groups = PairTensors::groups_of(&samples, &config.model, &device);
     let model = UnoPose::new(&config.model, 7, &device);
     let [single, half] = [Precision::F32, Precision::Bf16].map(|precision| {
-        let outputs = model.clone().in_precision(precision).forward_train(&batch, &groups);
+        let computing = model.clone().in_precision(precision);
+        let features = computing.encode(&batch.query);
+        // Kept references, read back in single precision, are joined with new ones.
+        assert_eq!((features.dense.dtype(), features.embedding.dtype()), (DType::F32, DType::F32));
+        let outputs = computing.forward_train(&batch, &groups);
         let similarity = outputs.fine[0].similarity.clone().inner();
         assert_eq!(similarity.dtype(), DType::F32);
         let loss = pair_losses(&config.loss, &outputs, &batch).total;

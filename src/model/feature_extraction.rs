@@ -11,7 +11,7 @@ use super::{
     conv_encoder::ConvEncoder,
     fused::{sampled_linear, weighted_rows},
     init::Initializer,
-    precision::like,
+    precision::{like, single},
     rows::select_rows,
     vit::VisionTransformer,
 };
@@ -65,9 +65,10 @@ impl FeatureExtraction {
         Self { rgb_net: net }
     }
 
-    /// Images `[B, 3, S, S]` and, per item, `N` pixel indices into the `S x S` crop, to features `[B, N, out_dim]`.
+    /// Images `[B, 3, S, S]` and, per item, `N` pixel indices into the `S x S` crop, to features `[B, N, out_dim]`, in single
+    /// precision whatever they were computed in: kept references go with new ones into one batch.
     pub fn forward(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
-        self.rgb_net.forward(images, choose)
+        single(self.rgb_net.forward(images, choose))
     }
 }
 
