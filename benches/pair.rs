@@ -1,5 +1,5 @@
 //! Times of every stage of one pair, beside the machine's matrix product:
-//! `cargo bench --bench pair [-- --config geo] [--set model.color.depth=24] [--rounds 9]`.
+//! `cargo bench --bench pair [-- --config geo] [--set model.color.depth=24] [--rounds 9] [STAGE]`.
 //!
 //! One query and one reference of the configuration's sizes (default: `unopose`, the paper's), untrained weights. A
 //! stage's time is the median over the rounds; the ratio is to a product of two 1024 x 1024 matrices right after it.
@@ -40,6 +40,9 @@ struct Arguments {
     /// Choose pixels anywhere in the crop, so that all of it is read, instead of where the points are seen.
     #[arg(long)]
     scattered: bool,
+    /// Measure only stages whose names contain this.
+    #[arg(value_name = "STAGE")]
+    filter: Option<String>,
     /// Passed by `cargo bench`.
     #[arg(long, hide = true)]
     bench: bool,
@@ -48,6 +51,7 @@ struct Arguments {
 struct Bench {
     rounds: usize,
     device: Device,
+    filter: String,
     /// Factors of the product that every round measures, too.
     factors: [Tensor<2>; 2],
 }
@@ -69,6 +73,9 @@ impl Bench {
     /// Prints the medians of `work / share` and of its ratio to a product right after it, after one round that does not
     /// count. The CPU's clock follows its load, so a product measured at another time is another yardstick.
     fn row<T>(&self, stage: &str, share: usize, mut work: impl FnMut() -> T) {
+        if !stage.contains(&self.filter) {
+            return;
+        }
         black_box(work());
         let mut rounds: Vec<[f64; 2]> = (0..self.rounds)
             .map(|_| {
@@ -94,8 +101,12 @@ fn main() -> anyhow::Result<()> {
     require_precision(&device, arguments.precision)?;
     let model = UnoPose::new(&config, 0, &device).in_precision(arguments.precision);
     let matrix = || Tensor::<2>::random([1024, 1024], Distribution::Uniform(-1.0, 1.0), &device);
-    let bench =
-        Bench { rounds: arguments.rounds.max(1), device: device.clone(), factors: [matrix(), matrix()] };
+    let bench = Bench {
+        rounds: arguments.rounds.max(1),
+        device: device.clone(),
+        filter: arguments.filter.clone().unwrap_or_default(),
+        factors: [matrix(), matrix()],
+    };
     println!(
         "backend {backend}, {}, {} threads, configuration {}",
         arguments.precision,

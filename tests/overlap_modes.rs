@@ -81,7 +81,7 @@ fn the_paper_has_one_softmax_over_overlap_weighted_features() {
 
         let cosines = values(theirs.similarity.clone());
         let expected = by_hand(&cosines, &scores[0], &scores[1]);
-        let got = &host_assignments(&ours, OverlapMode::Paper, false).unwrap()[0].assignment;
+        let got = &host_assignments(ours.clone(), OverlapMode::Paper, false).unwrap()[0].assignment;
         assert_eq!(got.weights.len(), expected.len());
         for (i, (&w, &e)) in got.weights.iter().zip(&expected).enumerate() {
             assert!((w as f64 - e).abs() < 2e-6, "{stage} entry {i}: {w}, by hand {e}");
@@ -99,7 +99,7 @@ fn the_paper_has_one_softmax_over_overlap_weighted_features() {
             assert!((0..got.rows).all(|i| entry(i) <= entry(label as usize)));
         }
 
-        let release = &host_assignments(&theirs, OverlapMode::Release, false).unwrap()[0].assignment;
+        let release = &host_assignments(theirs.clone(), OverlapMode::Release, false).unwrap()[0].assignment;
         let apart = got.weights.iter().zip(&release.weights).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart > 0.05, "{stage}: the two forms differ by {apart} only");
     }

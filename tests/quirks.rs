@@ -110,7 +110,8 @@ fn overlap_scores_are_split_at_the_querys_count() {
         background_overlap: None,
     };
     let weights = |block: &BlockOutput, split| {
-        host_assignments(block, OverlapMode::Release, split).map(|mut m| m.remove(0).assignment.weights)
+        host_assignments(block.clone(), OverlapMode::Release, split)
+            .map(|mut m| m.remove(0).assignment.weights)
     };
     // Equal similarities: 1 / (rows * columns) times both overlaps. Three query points, two of the reference.
     let unequal = block(&[0.5, 0.25].map(logit));

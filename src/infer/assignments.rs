@@ -39,7 +39,7 @@ impl Matched {
 /// `split_at_reference` (quirk of the coarse stage): the release looks for the reference's overlaps behind as many
 /// entries as the reference has points, although the query's come first. Equal counts hide that; others stop it.
 pub fn host_assignments(
-    block: &BlockOutput,
+    block: BlockOutput,
     mode: OverlapMode,
     split_at_reference: bool,
 ) -> Result<Vec<Matched>, InferError> {
@@ -47,8 +47,8 @@ pub fn host_assignments(
     if split_at_reference && mode == OverlapMode::Release && rows != columns {
         return Err(InferError::UnequalCounts { query: rows - 1, reference: columns - 1 });
     }
-    let similarity = host(block.similarity.clone(), "similarities")?;
     let [query, reference] = block.overlap_probability();
+    let similarity = host(block.similarity, "similarities")?;
     let (query, reference) = (host(query, "overlaps")?, host(reference, "overlaps")?);
     let matched = (0..batch)
         .into_par_iter()

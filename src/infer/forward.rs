@@ -18,9 +18,9 @@ use crate::{
 };
 
 /// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
-/// Everything else is done for one pair at a time, whose tensors fit into the caches better than those of several; a
-/// structure embedding alone takes 40 MB (197 x 197 x 256 numbers).
-const COLORS_ON_HOST: usize = 4;
+/// Everything else is done for each pair on its own, whose tensors fit into the caches better than those of several; the
+/// pairs pass side by side, so that no core waits at the end of a stage.
+const COLORS_ON_HOST: usize = 8;
 
 /// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
 pub fn estimate_pairs(
@@ -58,8 +58,9 @@ pub fn estimate_encoded(
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
-    let (traces, times) = trace_encoded(model, config, pairs, references, uniforms, None, device)?;
-    Ok((poses(&traces, pairs), times))
+    let network = Network { model, config, device };
+    let sampling = Sampling { uniforms, first: 0, given: None };
+    network.map_encoded(pairs, references, sampling, |trace, pair| trace.estimate(pair))
 }
 
 fn poses(traces: &[PairTrace], pairs: &[CloudPair<'_>]) -> Vec<PairEstimate> {
@@ -78,39 +79,7 @@ pub fn trace_encoded(
     device: &Device,
 ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
     let network = Network { model, config, device };
-    if !is_host(device) {
-        let start = Instant::now();
-        let Some(references) = EncodedReferences::batch(references) else {
-            return Ok((Vec::new(), StageTimes::default()));
-        };
-        let [query, reference] = network.clouds(pairs);
-        let query_features = model.encode(&query);
-        let clouds = EncodedClouds { query, query_features, reference, references: &references };
-        let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        return network.match_encoded(pairs, &clouds, Sampling { uniforms, first: 0, given }, times);
-    }
-    let (mut traces, mut times) = (Vec::with_capacity(pairs.len()), StageTimes::default());
-    for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
-        let start = Instant::now();
-        let [queries, _] = network.clouds(pairs);
-        let colors = model.feature_extraction.forward(queries.images, &queries.choose);
-        times.encode += start.elapsed().as_secs_f64();
-        for (index, (pair, references)) in pairs.iter().zip(references).enumerate() {
-            let start = Instant::now();
-            let pair = std::slice::from_ref(pair);
-            let [query, reference] = network.clouds(pair);
-            let query_features = model.encode_structure(&query, colors.clone().narrow(0, index, 1));
-            let clouds = EncodedClouds { query, query_features, reference, references };
-            let spent = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-            let first = traces.len();
-            let given = given.map(|starts| &starts[first..=first]);
-            let sampling = Sampling { uniforms, first, given };
-            let (trace, spent) = network.match_encoded(pair, &clouds, sampling, spent)?;
-            traces.extend(trace);
-            times.add(&spent);
-        }
-    }
-    Ok((traces, times))
+    network.map_encoded(pairs, references, Sampling { uniforms, first: 0, given }, |trace, _| trace)
 }
 
 /// Both sides of the pairs, encoded.
@@ -130,6 +99,13 @@ struct Sampling<'a> {
     given: Option<&'a [Pose]>,
 }
 
+impl Sampling<'_> {
+    /// For one of the pairs.
+    fn of_pair(self, index: usize) -> Self {
+        Self { first: self.first + index, given: self.given.map(|starts| &starts[index..=index]), ..self }
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Network<'a> {
     model: &'a UnoPose,
@@ -145,6 +121,64 @@ impl Network<'_> {
         [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, self.config, self.device))
     }
 
+    /// What `finish` makes of the pairs' traces; on the CPU of each as soon as it is there, since a trace holds the whole
+    /// assignment (17 MB for 2048 points).
+    fn map_encoded<T: Send>(
+        &self,
+        pairs: &[CloudPair<'_>],
+        references: &[&EncodedReferences],
+        sampling: Sampling<'_>,
+        finish: impl Fn(PairTrace, &CloudPair<'_>) -> T + Sync,
+    ) -> Result<(Vec<T>, StageTimes), InferError> {
+        if !is_host(self.device) {
+            let start = Instant::now();
+            let Some(references) = EncodedReferences::batch(references) else {
+                return Ok((Vec::new(), StageTimes::default()));
+            };
+            let [query, reference] = self.clouds(pairs);
+            let query_features = self.model.encode(&query);
+            let clouds = EncodedClouds { query, query_features, reference, references: &references };
+            let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+            let (traces, times) = self.match_encoded(pairs, &clouds, sampling, times)?;
+            return Ok((
+                traces.into_iter().zip(pairs).map(|(trace, pair)| finish(trace, pair)).collect(),
+                times,
+            ));
+        }
+        let (mut finished, mut times) = (Vec::with_capacity(pairs.len()), StageTimes::default());
+        for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
+            let start = Instant::now();
+            let [queries, _] = self.clouds(pairs);
+            let colors = self.model.feature_extraction.forward(queries.images, &queries.choose);
+            times.encode += start.elapsed().as_secs_f64();
+            let (first, start) = (finished.len(), Instant::now());
+            let matched: Vec<_> = pairs
+                .par_iter()
+                .zip(references)
+                .enumerate()
+                .map(|(index, (pair, references))| {
+                    let start = Instant::now();
+                    let pairs = std::slice::from_ref(pair);
+                    let [query, reference] = self.clouds(pairs);
+                    let query_features =
+                        self.model.encode_structure(&query, colors.clone().narrow(0, index, 1));
+                    let clouds = EncodedClouds { query, query_features, reference, references };
+                    let spent = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+                    let sampling = sampling.of_pair(first + index);
+                    let (traces, spent) = self.match_encoded(pairs, &clouds, sampling, spent)?;
+                    Ok((traces.into_iter().map(|trace| finish(trace, pair)).collect::<Vec<T>>(), spent))
+                })
+                .collect::<Result<_, InferError>>()?;
+            let wall = start.elapsed().as_secs_f64();
+            let all: f64 = matched.iter().map(|(_, spent)| spent.total()).sum();
+            for (of_pair, spent) in matched {
+                finished.extend(of_pair);
+                times.add(&spent.scaled(wall / all.max(f64::MIN_POSITIVE)));
+            }
+        }
+        Ok((finished, times))
+    }
+
     /// Matching and pose solving, with their times added to `times`.
     fn match_encoded(
         &self,
@@ -157,9 +191,9 @@ impl Network<'_> {
         let EncodedClouds { query, query_features, reference, references } = clouds;
         let mut clock = Instant::now();
         let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
-        let coarse =
+        let mut coarse =
             model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
-        let coarse = match coarse.last() {
+        let coarse = match coarse.pop() {
             Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
             None => Vec::new(),
         };
@@ -206,12 +240,12 @@ impl Network<'_> {
                     })
                     .collect();
                 let groups = into_group_tensors(groups, config, device);
-                let blocks = model.fine(
+                let mut blocks = model.fine(
                     (query, query_features, stage.position(&groups)),
                     (reference, &references.features, reference_position.clone()),
                     Supervision::LastBlock,
                 );
-                blocks.last().map(|block| host_assignments(block, config.overlap, false)).transpose()?
+                blocks.pop().map(|block| host_assignments(block, config.overlap, false)).transpose()?
             }
             _ => None,
         };

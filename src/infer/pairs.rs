@@ -30,7 +30,7 @@ pub struct PairEstimate {
     pub evidence: Evidence,
 }
 
-/// Where the time of a batch went.
+/// Where the wall-clock time of a batch went; the time of pairs that pass side by side is divided among their stages.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct StageTimes {
     /// Colour features and structure embeddings, seconds.
@@ -48,13 +48,16 @@ pub struct StageTimes {
 impl StageTimes {
     /// Of one of `count` pairs.
     pub fn divided(&self, count: usize) -> Self {
-        let share = |seconds: f64| seconds / count.max(1) as f64;
+        self.scaled(1.0 / count.max(1) as f64)
+    }
+
+    pub(super) fn scaled(&self, factor: f64) -> Self {
         Self {
-            encode: share(self.encode),
-            coarse: share(self.coarse),
-            hypotheses: share(self.hypotheses),
-            fine: share(self.fine),
-            solve: share(self.solve),
+            encode: self.encode * factor,
+            coarse: self.coarse * factor,
+            hypotheses: self.hypotheses * factor,
+            fine: self.fine * factor,
+            solve: self.solve * factor,
         }
     }
 

@@ -6,8 +6,8 @@
 mod panel;
 mod product;
 
-pub use panel::{Blocks, PANEL, add_panel};
-pub use product::{add_product, add_transposed_product};
+pub use panel::{PANEL, add_panel, panels_of_rows};
+pub use product::{add_product, add_transposed_product, map_rows};
 
 /// Runs `work` in a version compiled for this CPU (AVX-512, AVX2 or the target's baseline).
 ///

@@ -165,7 +165,7 @@ fn assignments(
     config: &ModelConfig,
     split_at_reference: bool,
 ) -> Result<Vec<Assignment>, VerifyError> {
-    let matched = host_assignments(block, config.overlap, split_at_reference)?;
+    let matched = host_assignments(block.clone(), config.overlap, split_at_reference)?;
     Ok(matched.into_iter().map(|matched| matched.assignment).collect())
 }
 

@@ -6,13 +6,14 @@ use rayon::prelude::*;
 
 use super::{
     AttentionMaps, TokenMaps,
+    relative_scores::{Point, head_scores},
     rows::{Map, Tail, columns, transposed},
     self_attention::{exponentials, largest},
     tape::{Values, plain},
 };
-use crate::simd::{add_product, dot, dots, vectorised};
+use crate::simd::{add_product, vectorised};
 
-/// Rows of queries per task.
+/// Rows of queries whose scores are worked on at a time.
 const ROWS: usize = 24;
 /// Rows of scores are padded to whole vectors.
 const LANES: usize = 16;
@@ -39,11 +40,13 @@ pub fn attention_layer(
             layer.memory(&memory[pair * m * width..][..m * width], head, relative)
         })
         .collect();
+    // As few tasks as there are threads: each reads all weights.
+    let per_task = (batch * n).div_ceil(rayon::current_num_threads()).clamp(ROWS, n.max(ROWS));
     let mut out = vec![0.0f32; batch * n * width];
-    let mut tasks = Vec::with_capacity(batch * n.div_ceil(ROWS));
+    let mut tasks = Vec::with_capacity(batch * n.div_ceil(per_task));
     for (pair, out) in out.chunks_exact_mut((n * width).max(1)).enumerate() {
-        let blocks = out.chunks_mut(ROWS * width).enumerate();
-        tasks.extend(blocks.map(|(block, out)| (pair, pair * n + block * ROWS, out)));
+        let blocks = out.chunks_mut(per_task * width).enumerate();
+        tasks.extend(blocks.map(|(block, out)| (pair, pair * n + block * per_task, out)));
     }
     tasks.into_par_iter().for_each(|(pair, first, out)| {
         let x = &x[first * width..][..out.len()];
@@ -118,46 +121,63 @@ impl Layer {
     /// The bias of the relative projection adds the same to all scores of a query, which the softmax does not see.
     fn read(&self, x: &[f32], memories: &[Memory], m: usize, embedding: Option<&[f32]>) -> Vec<f32> {
         let width = self.query.outputs();
-        let (d, rows) = (width / self.heads, x.len() / self.query.inputs());
+        let d = width / self.heads;
         let padded = m.next_multiple_of(LANES);
         let scale = (d as f32).powf(-0.5);
-        let mut projected = self.query.apply(x);
-        vectorised(|| projected.iter_mut().for_each(|q| *q *= scale));
-        let queries: Vec<Vec<f32>> = (0..self.heads).map(|h| columns(&projected, width, h * d, d)).collect();
-        let mut scores = vec![0.0f32; self.heads * rows * padded];
-        if let Some(embedding) = embedding {
-            let channels = embedding.len() / (rows * m).max(1);
-            let by_head: Vec<Vec<f32>> = queries
-                .iter()
-                .zip(memories)
-                .map(|(queries, memory)| {
-                    let mut projected = vec![0.0f32; rows * channels];
-                    add_product(&mut projected, queries, &memory.relative, d);
-                    projected
-                })
-                .collect();
-            relative_scores(&mut scores, &by_head, embedding, [rows, m, padded]);
-        }
-        let mut read = vec![0.0f32; rows * width];
-        let mut part = vec![0.0f32; rows * d];
-        for (head, memory) in memories.iter().enumerate() {
-            let scores = &mut scores[head * rows * padded..][..rows * padded];
-            add_product(scores, &queries[head], &memory.keys, d);
-            let mut sums = [0.0f32; ROWS];
-            vectorised(|| {
-                for (row, sum) in scores.chunks_exact_mut(padded).zip(&mut sums) {
-                    let largest = largest(&row[..m]);
-                    *sum = exponentials(&mut row[..m], largest);
+        let mut queries = self.query.apply(x);
+        vectorised(|| queries.iter_mut().for_each(|q| *q *= scale));
+        let mut read = vec![0.0f32; queries.len()];
+        let mut scores = vec![0.0f32; self.heads * ROWS * padded];
+        for (block, (read, queries)) in
+            read.chunks_mut(ROWS * width).zip(queries.chunks(ROWS * width)).enumerate()
+        {
+            let rows = queries.len() / width;
+            let queries: Vec<Vec<f32>> = (0..self.heads).map(|h| columns(queries, width, h * d, d)).collect();
+            let scores = &mut scores[..self.heads * rows * padded];
+            scores.fill(0.0);
+            if let Some(embedding) = embedding {
+                let per_row = embedding.len() / (x.len() / self.query.inputs());
+                let embedding = &embedding[block * ROWS * per_row..][..rows * per_row];
+                let projected: Vec<Vec<f32>> = queries
+                    .iter()
+                    .zip(memories)
+                    .map(|(queries, memory)| {
+                        let mut projected = vec![0.0f32; rows * per_row / m];
+                        add_product(&mut projected, queries, &memory.relative, d);
+                        projected
+                    })
+                    .collect();
+                relative_scores(scores, &projected, embedding, [rows, m, padded]);
+            }
+            let heads = memories.iter().zip(&queries).zip(scores.chunks_exact_mut(rows * padded));
+            for (head, ((memory, queries), scores)) in heads.enumerate() {
+                let (part, sums) = memory.read(queries, scores, m);
+                for ((read, part), sum) in read.chunks_exact_mut(width).zip(part.chunks_exact(d)).zip(sums) {
+                    let scale = 1.0 / sum;
+                    read[head * d..][..d].iter_mut().zip(part).for_each(|(r, p)| *r = p * scale);
                 }
-            });
-            part.fill(0.0);
-            add_product(&mut part, scores, &memory.values, padded);
-            for ((read, part), sum) in read.chunks_exact_mut(width).zip(part.chunks_exact(d)).zip(sums) {
-                let scale = 1.0 / sum;
-                read[head * d..][..d].iter_mut().zip(part).for_each(|(r, p)| *r = p * scale);
             }
         }
         read
+    }
+}
+
+impl Memory {
+    /// Values `[R, d]` of `m` tokens, weighted by the exponentials of `scores` `[R, columns]` plus the products of queries
+    /// `[R, d]` with the keys, and the sums of the weights.
+    fn read(&self, queries: &[f32], scores: &mut [f32], m: usize) -> (Vec<f32>, [f32; ROWS]) {
+        let padded = m.next_multiple_of(LANES);
+        add_product(scores, queries, &self.keys, self.keys.len() / padded);
+        let mut sums = [0.0f32; ROWS];
+        vectorised(|| {
+            for (row, sum) in scores.chunks_exact_mut(padded).zip(&mut sums) {
+                let largest = largest(&row[..m]);
+                *sum = exponentials(&mut row[..m], largest);
+            }
+        });
+        let mut read = vec![0.0f32; queries.len()];
+        add_product(&mut read, scores, &self.values, padded);
+        (read, sums)
     }
 }
 
@@ -170,25 +190,19 @@ fn relative_scores(
     [rows, m, padded]: [usize; 3],
 ) {
     let channels = embedding.len() / (rows * m).max(1);
-    vectorised(|| {
-        for (r, embedding) in embedding.chunks_exact(m * channels).enumerate() {
-            let query = |head: usize| &projected[head][r * channels..][..channels];
-            for first in (0..projected.len()).step_by(4) {
-                let at = |head: usize| (head * rows + r) * padded;
-                if first + 4 <= projected.len() {
-                    let queries = [first, first + 1, first + 2, first + 3].map(query);
-                    for (i, e) in embedding.chunks_exact(channels).enumerate() {
-                        let products = dots(queries, e);
-                        (0..4).for_each(|h| scores[at(first + h) + i] = products[h]);
-                    }
-                } else {
-                    for head in first..projected.len() {
-                        for (i, e) in embedding.chunks_exact(channels).enumerate() {
-                            scores[at(head) + i] = dot(query(head), e);
-                        }
-                    }
-                }
-            }
+    let mut points: Vec<Point> = embedding
+        .chunks_exact((m * channels).max(1))
+        .enumerate()
+        .map(|(r, embedding)| Point {
+            scores: Vec::with_capacity(projected.len()),
+            queries: projected.iter().map(|p| &p[r * channels..][..channels]).collect(),
+            embedding,
+        })
+        .collect();
+    for scores in scores.chunks_exact_mut(rows * padded) {
+        for (point, scores) in points.iter_mut().zip(scores.chunks_exact_mut(padded)) {
+            point.scores.push(&mut scores[..m]);
         }
-    });
+    }
+    points.chunks_mut(2).for_each(head_scores);
 }

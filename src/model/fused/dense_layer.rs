@@ -10,10 +10,10 @@ use super::{
     rows::{Map, Tail, columns},
     tape::{Values, plain},
 };
-use crate::simd::{add_product, add_transposed_product};
+use crate::simd::{add_product, add_transposed_product, dot, vectorised};
 
-/// Rows of dense tokens per task.
-const ROWS: usize = 48;
+/// Rows of dense tokens per task, each of which reads all weights.
+const ROWS: usize = 96;
 
 pub fn dense_layer(
     maps: &FocusedMaps,
@@ -32,9 +32,9 @@ pub fn dense_layer(
         epsilon: maps.epsilon as f32,
     };
     let (dense, sparse) = (Values::of(dense)?, Values::of(sparse)?);
-    let contexts: Vec<Vec<Context>> = sparse
+    let contexts: Vec<Context> = sparse
         .par_chunks_exact((memory * width).max(1))
-        .map(|sparse| layer.contexts(&sparse[width..]))
+        .map(|sparse| layer.context(&sparse[width..]))
         .collect();
     let mut out = vec![0.0f32; batch * tokens * width];
     let mut tasks = Vec::with_capacity(batch * tokens.div_ceil(ROWS));
@@ -46,7 +46,7 @@ pub fn dense_layer(
     }
     tasks.into_par_iter().for_each(|(pair, first, out)| {
         let x = &dense[first * width..][..out.len()];
-        layer.tail.write(out, x, &layer.read(x, &contexts[pair]));
+        layer.tail.write_projected(out, x, layer.attended(x, &contexts[pair]));
     });
     Some(plain(out, [batch, tokens, width]))
 }
@@ -61,9 +61,12 @@ struct Layer {
     epsilon: f32,
 }
 
-/// What a head reads from: sums over the tokens of focused keys times values `[d, d]`, and of focused keys `[d]`.
+/// What the dense tokens of a pair read from.
 struct Context {
+    /// Per head the sums over the tokens of focused keys times values `[d, d]`, times the head's rows of the output
+    /// projection: `[C, C]`.
     products: Vec<f32>,
+    /// Sums of the focused keys, `[C]`.
     keys: Vec<f32>,
 }
 
@@ -75,39 +78,38 @@ impl Layer {
         y
     }
 
-    /// Of a memory `[M, C]`, one per head.
-    fn contexts(&self, memory: &[f32]) -> Vec<Context> {
+    /// Of a memory `[M, C]`.
+    fn context(&self, memory: &[f32]) -> Context {
         let (width, m) = (self.key.outputs(), memory.len() / self.key.inputs());
         let d = width / self.heads;
-        let (keys, values) = rayon::join(|| self.focused(&self.key, memory), || self.value.apply(memory));
-        let context = |head: usize| {
-            let [keys, values] = [&keys, &values].map(|rows| columns(rows, width, head * d, d));
-            let mut products = vec![0.0f32; d * d];
-            add_transposed_product(&mut products, &keys, &values, m);
-            let mut sums = vec![0.0f32; d];
-            keys.chunks_exact(d).for_each(|row| sums.iter_mut().zip(row).for_each(|(s, k)| *s += k));
-            Context { products, keys: sums }
-        };
-        (0..self.heads).into_par_iter().map(context).collect()
+        let (focused, values) = rayon::join(|| self.focused(&self.key, memory), || self.value.apply(memory));
+        let mut keys = vec![0.0f32; width];
+        focused.chunks_exact(width).for_each(|row| keys.iter_mut().zip(row).for_each(|(s, k)| *s += k));
+        let projection = self.tail.linear.weight();
+        let columns_out = self.tail.linear.outputs();
+        let mut products = vec![0.0f32; width * columns_out];
+        products.par_chunks_exact_mut(d * columns_out).enumerate().for_each(|(head, products)| {
+            let [keys, values] = [&focused, &values].map(|rows| columns(rows, width, head * d, d));
+            let mut context = vec![0.0f32; d * d];
+            add_transposed_product(&mut context, &keys, &values, m);
+            add_product(products, &context, &projection[head * d * columns_out..][..d * columns_out], d);
+        });
+        Context { products, keys }
     }
 
-    /// What queries `[R, C]` read: `[R, C]`.
-    fn read(&self, x: &[f32], contexts: &[Context]) -> Vec<f32> {
-        let queries = self.focused(&self.query, x);
+    /// What the output projection makes of what queries `[R, C]` read: `[R, C]`.
+    fn attended(&self, x: &[f32], context: &Context) -> Vec<f32> {
+        let mut queries = self.focused(&self.query, x);
         let width = self.query.outputs();
         let d = width / self.heads;
-        let mut read = vec![0.0f32; queries.len()];
-        for (head, context) in contexts.iter().enumerate() {
-            let queries = columns(&queries, width, head * d, d);
-            let mut part = vec![0.0f32; queries.len()];
-            add_product(&mut part, &queries, &context.products, d);
-            let rows = part.chunks_exact(d).zip(queries.chunks_exact(d));
-            for (read, (part, query)) in read.chunks_exact_mut(width).zip(rows) {
-                let sum: f32 = query.iter().zip(&context.keys).map(|(q, k)| q * k).sum();
-                let scale = 1.0 / (sum + self.epsilon);
-                read[head * d..][..d].iter_mut().zip(part).for_each(|(r, p)| *r = p * scale);
+        vectorised(|| {
+            for row in queries.chunks_exact_mut(width) {
+                for (query, keys) in row.chunks_exact_mut(d).zip(context.keys.chunks_exact(d)) {
+                    let scale = 1.0 / (dot(query, keys) + self.epsilon);
+                    query.iter_mut().for_each(|q| *q *= scale);
+                }
             }
-        }
-        read
+        });
+        self.tail.linear.apply_with(&context.products, &queries, false)
     }
 }

@@ -20,21 +20,22 @@ pub fn interpolated_embedding(
     let [_, width] = tables[0].dims();
     let (distances, angles) = (Values::of(distances)?, Values::of(angles)?);
     if let (Some(d), Some(a)) = (Values::of(&tables[0]), Values::of(&tables[1])) {
+        let (d, a): (&[f32], &[f32]) = (&d, &a);
         let mut rows = vec![0.0f32; n * width];
         let inputs = distances.par_chunks(PAIRS).zip(angles.par_chunks(PAIRS * k));
         rows.par_chunks_mut(PAIRS * width).zip(inputs).for_each(|(rows, (distances, angles))| {
             vectorised(|| {
                 let pairs = distances.iter().zip(angles.chunks_exact(k));
                 for (row, (&distance, angles)) in rows.chunks_exact_mut(width).zip(pairs) {
-                    largest(row, &a, angles);
-                    add(row, &d, distance);
+                    largest(row, a, angles);
+                    add(row, d, distance);
                 }
             });
         });
         return Some(plain(rows, [n, width]));
     }
     let inputs = [Input::of(&tables[0])?, Input::of(&tables[1])?];
-    let [d, a] = &inputs;
+    let [d, a] = [&inputs[0].values, &inputs[1].values].map(|values| -> &[f32] { values });
     let (mut rows, mut winners) = (vec![0.0; n * width], vec![0u8; n * width]);
     let outputs = rows.par_chunks_mut(PAIRS * width).zip(winners.par_chunks_mut(PAIRS * width));
     outputs.zip(distances.par_chunks(PAIRS).zip(angles.par_chunks(PAIRS * k))).for_each(
@@ -44,8 +45,8 @@ pub fn interpolated_embedding(
                 for ((row, winners), (&distance, angles)) in
                     outputs.zip(distances.iter().zip(angles.chunks_exact(k)))
                 {
-                    largest_with_slot(row, winners, &a.values, angles);
-                    add(row, &d.values, distance);
+                    largest_with_slot(row, winners, a, angles);
+                    add(row, d, distance);
                 }
             });
         },

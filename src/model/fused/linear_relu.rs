@@ -7,7 +7,7 @@ use super::{
     BLOCK,
     tape::{Gradient, Input, Values, plain, record},
 };
-use crate::simd::{add_product, add_transposed_product, vectorised};
+use crate::simd::{add_product, add_transposed_product, map_rows, vectorised};
 
 pub fn linear_relu(x: &Tensor<2>, weight: &Tensor<2>, shift: &Tensor<1>) -> Option<Tensor<2>> {
     let [rows, inner] = x.dims();
@@ -32,16 +32,8 @@ fn forward(x: &[f32], weight: &[f32], shift: &[f32], inner: usize) -> Vec<f32> {
     let mut y = vec![0.0; x.len() / inner * columns];
     y.par_chunks_mut(BLOCK * columns)
         .zip(x.par_chunks(BLOCK * inner))
-        .for_each(|(y, x)| linear_relu_rows(y, x, weight, shift, inner));
+        .for_each(|(y, x)| map_rows(y, x, weight, shift, true));
     y
-}
-
-/// `relu(x W + s)` of a few rows.
-pub(super) fn linear_relu_rows(y: &mut [f32], x: &[f32], weight: &[f32], shift: &[f32], inner: usize) {
-    y.chunks_exact_mut(shift.len()).for_each(|row| row.copy_from_slice(shift));
-    add_product(y, x, weight, inner);
-    // NaN stays.
-    vectorised(|| y.iter_mut().for_each(|y| *y = if *y <= 0.0 { 0.0 } else { *y }));
 }
 
 #[derive(Clone, Debug)]

@@ -10,7 +10,7 @@ use super::{
 use crate::simd::{add_product, sum, vectorised};
 
 /// Rows per task.
-const ROWS: usize = 48;
+const ROWS: usize = 96;
 /// Columns of a product that are worked on at a time, so that they stay in a core's cache.
 const COLUMNS: usize = 512;
 /// Columns are padded to whole vectors of a tile.

@@ -9,45 +9,59 @@ use super::{
     rows::{Map, Norm},
     tape::{Values, plain},
 };
-use crate::simd::{Blocks, PANEL, add_panel, vectorised};
+use crate::simd::{PANEL, add_panel, panels_of_rows, vectorised};
 
 /// Rows per parallel task.
 const ROWS: usize = 8;
+/// Panels of the left matrix that all panels of the result are computed from before the next ones: with the thousand
+/// rows of four images these are three megabytes, which stay in the cache that the cores share.
+const DEPTH: usize = 12;
 
-/// `end(x W + b)` by panels `[R, PANEL]`; `None` for sizes that are no multiples of [`PANEL`].
-pub fn mapped(x: &Blocks, map: &Map, end: impl Fn(&mut [f32]) + Sync) -> Option<Vec<Vec<f32>>> {
+/// `end(x W + b)`, `x` and the result by panels `[R, PANEL]`; `None` for sizes that are no multiples of [`PANEL`].
+pub fn mapped(x: &[Vec<f32>], map: &Map, end: impl Fn(&mut [f32]) + Sync) -> Option<Vec<Vec<f32>>> {
     some_mapped(x, map, 0..map.outputs() / PANEL, end)
 }
 
 /// Some of the panels of [`mapped`].
 pub fn some_mapped(
-    x: &Blocks,
+    x: &[Vec<f32>],
     map: &Map,
     which: Range<usize>,
     end: impl Fn(&mut [f32]) + Sync,
 ) -> Option<Vec<Vec<f32>>> {
-    if x.width() != map.inputs() || !map.outputs().is_multiple_of(PANEL) {
+    if x.len() * PANEL != map.inputs() || !map.outputs().is_multiple_of(PANEL) {
         return None;
     }
-    let panel = |(index, bias): (usize, &[f32])| {
-        let mut panel = Vec::with_capacity(x.rows() * PANEL);
-        (0..x.rows()).for_each(|_| panel.extend_from_slice(bias));
-        add_panel(&mut panel, x, map.weight(), index * PANEL);
-        end(&mut panel);
-        panel
-    };
-    let biases = map.bias().par_chunks_exact(PANEL).enumerate();
-    Some(biases.skip(which.start).take(which.len()).map(panel).collect())
+    let values = x.first().map_or(0, Vec::len);
+    let mut panels: Vec<Vec<f32>> = which.clone().map(|_| Vec::new()).collect();
+    for (index, (x, weight)) in
+        x.chunks(DEPTH).zip(map.weight().chunks(DEPTH * PANEL * map.outputs())).enumerate()
+    {
+        let last = (index + 1) * DEPTH * PANEL >= map.inputs();
+        panels.par_iter_mut().zip(which.clone()).for_each(|(panel, which)| {
+            if index == 0 {
+                let bias = &map.bias()[which * PANEL..][..PANEL];
+                panel.reserve_exact(values);
+                (0..values / PANEL).for_each(|_| panel.extend_from_slice(bias));
+            }
+            add_panel(panel, x, weight, which * PANEL);
+            if last {
+                end(panel);
+            }
+        });
+    }
+    Some(panels)
 }
 
-/// `norm(x)`, `[R, C]`.
-pub fn normalised(x: &[f32], norm: &Norm, width: usize) -> Vec<f32> {
-    let mut y = vec![0.0f32; x.len()];
-    y.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * width)).for_each(|(y, x)| {
-        y.copy_from_slice(x);
-        vectorised(|| y.chunks_exact_mut(width).for_each(|row| norm.normalise(row)));
+/// `norm(x)` of `[R, C]` by panels; `None` when the width is not a multiple of [`PANEL`].
+pub fn normalised(x: &[f32], norm: &Norm) -> Option<Vec<Vec<f32>>> {
+    let width = norm.width();
+    let mut moments = vec![[0.0f32; 2]; x.len() / width];
+    moments.par_chunks_mut(ROWS).zip(x.par_chunks(ROWS * width)).for_each(|(moments, x)| {
+        vectorised(|| moments.iter_mut().zip(x.chunks_exact(width)).for_each(|(m, x)| *m = norm.moments(x)));
     });
-    y
+    let panels = (0..width).into_par_iter().step_by(PANEL).map(|first| norm.panel(x, &moments, first));
+    width.is_multiple_of(PANEL).then(|| panels.collect())
 }
 
 /// `x + gamma y` with `y` by panels, `[R, C]`.
@@ -83,7 +97,7 @@ pub fn sampled_linear(
     if width == 0 || !width.is_multiple_of(PANEL) {
         return None;
     }
-    let panels = mapped(&Blocks::of_rows(&values, x.dims()[1])?, &map, |_| {})?;
+    let panels = mapped(&panels_of_rows(&values, x.dims()[1])?, &map, |_| {})?;
     let cells = map.outputs() / width;
     let mut out = vec![0.0f32; rows.len() / 4 * width];
     let taps = rows.par_chunks_exact(4).zip(weights.par_chunks_exact(4));

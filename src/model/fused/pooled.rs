@@ -8,10 +8,10 @@ use rayon::prelude::*;
 
 use super::{
     BLOCK,
-    linear_relu::{linear_relu_rows, merged, transpose},
+    linear_relu::{merged, transpose},
     tape::{Gradient, Input, Values, plain, record},
 };
-use crate::simd::vectorised;
+use crate::simd::{map_rows, vectorised};
 
 pub fn linear_relu_max(
     x: &Tensor<2>,
@@ -53,7 +53,7 @@ fn forward(x: &[f32], weight: &[f32], shift: &[f32], inner: usize, group: usize)
             || vec![0.0f32; per_task * group * columns],
             |y, (task, ((maxima, winners), x))| {
                 let y = &mut y[..x.len() / inner * columns];
-                linear_relu_rows(y, x, weight, shift, inner);
+                map_rows(y, x, weight, shift, true);
                 let rows = maxima.chunks_exact_mut(columns).zip(winners.chunks_exact_mut(columns));
                 for (g, ((maxima, winners), y)) in rows.zip(y.chunks_exact(group * columns)).enumerate() {
                     let first = ((task * per_task + g) * group) as u32;
@@ -137,6 +137,7 @@ pub fn shared_layers_max(
     let x = Values::of(x)?;
     let layers: Vec<(Values, Values)> =
         layers.iter().map(|(w, s)| Some((Values::of(w)?, Values::of(s)?))).collect::<Option<_>>()?;
+    let layers: Vec<(&[f32], &[f32])> = layers.iter().map(|(w, s)| -> (&[f32], &[f32]) { (w, s) }).collect();
     let columns = layers.last()?.1.len();
     let mut maxima = vec![0.0f32; rows / group.max(1) * columns];
     maxima
@@ -150,11 +151,11 @@ pub fn shared_layers_max(
                 // A group without neighbours is its padding.
                 let rows = (count as usize).clamp(1, group);
                 let mut width = inner;
-                for (index, (weight, shift)) in layers.iter().enumerate() {
+                for (index, &(weight, shift)) in layers.iter().enumerate() {
                     let (before, rest) = hidden.split_at_mut(index);
                     let x = before.last().map_or(x, Vec::as_slice);
                     let y = &mut rest[0][..rows * shift.len()];
-                    linear_relu_rows(y, &x[..rows * width], weight, shift, width);
+                    map_rows(y, &x[..rows * width], weight, shift, true);
                     width = shift.len();
                 }
                 let y = hidden.last().map_or(&[][..], |y| &y[..rows * columns]);

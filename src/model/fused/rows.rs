@@ -3,7 +3,7 @@
 use burn::nn::{LayerNorm, Linear};
 
 use super::{TokenMaps, tape::Values};
-use crate::simd::{add_product, sum, vectorised};
+use crate::simd::{PANEL, map_rows, sum, vectorised};
 
 /// A linear map in host memory.
 pub(super) struct Map {
@@ -35,23 +35,32 @@ impl Map {
 
     /// `x W + b`, `[R, inputs] -> [R, outputs]`.
     pub fn apply(&self, x: &[f32]) -> Vec<f32> {
-        let mut y = vec![0.0f32; x.len() / self.inputs().max(1) * self.outputs()];
-        self.write(&mut y, x);
+        self.apply_with(&self.weight, x, false)
+    }
+
+    /// `relu(x W + b)`.
+    pub fn apply_rectified(&self, x: &[f32]) -> Vec<f32> {
+        self.apply_with(&self.weight, x, true)
+    }
+
+    /// `x weight + b` with other weights of any number of inputs.
+    pub fn apply_with(&self, weight: &[f32], x: &[f32], rectify: bool) -> Vec<f32> {
+        let inputs = weight.len() / self.outputs().max(1);
+        let mut y = vec![0.0f32; x.len() / inputs.max(1) * self.outputs()];
+        map_rows(&mut y, x, weight, &self.bias, rectify);
         y
+    }
+
+    /// [`Self::apply`] into `y`.
+    pub fn write(&self, y: &mut [f32], x: &[f32]) {
+        map_rows(y, x, &self.weight, &self.bias, false);
     }
 
     /// [`Self::apply`] for the outputs from `first` on, as many as `y` `[R, outputs]` has.
     pub fn write_columns(&self, y: &mut [f32], x: &[f32], first: usize) {
         let width = y.len() / (x.len() / self.inputs().max(1)).max(1);
-        let bias = &self.bias[first..first + width];
-        y.chunks_exact_mut(width.max(1)).for_each(|row| row.copy_from_slice(bias));
-        add_product(y, x, &columns(&self.weight, self.outputs(), first, width), self.inputs());
-    }
-
-    /// [`Self::apply`] into `y`.
-    pub fn write(&self, y: &mut [f32], x: &[f32]) {
-        y.chunks_exact_mut(self.outputs().max(1)).for_each(|row| row.copy_from_slice(&self.bias));
-        add_product(y, x, &self.weight, self.inputs());
+        let weight = columns(&self.weight, self.outputs(), first, width);
+        map_rows(y, x, &weight, &self.bias[first..first + width], false);
     }
 }
 
@@ -68,32 +77,50 @@ impl Norm {
         Some(Self { gamma, beta, epsilon: epsilon as f32 })
     }
 
+    pub fn width(&self) -> usize {
+        self.gamma.len()
+    }
+
     /// `norm(x + residual)` in the place of `x`, `[R, C]`.
     pub fn apply(&self, x: &mut [f32], residual: &[f32]) {
-        let width = self.gamma.len();
+        let width = self.width();
+        let (gamma, beta): (&[f32], &[f32]) = (&self.gamma, &self.beta);
         vectorised(|| {
             for (x, residual) in x.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
                 x.iter_mut().zip(residual).for_each(|(x, r)| *x += r);
-                self.normalise(x);
+                let [mean, scale] = self.moments(x);
+                let channels = x.iter_mut().zip(gamma).zip(beta);
+                channels.for_each(|((x, g), b)| *x = (*x - mean) * scale * g + b);
             }
         });
     }
 
-    /// `norm(x)` of a row in its place.
+    /// Mean of a row, and what its distances from it are multiplied by.
     #[inline(always)]
-    pub fn normalise(&self, x: &mut [f32]) {
+    pub fn moments(&self, x: &[f32]) -> [f32; 2] {
         let width = x.len() as f32;
         let mean = sum(x, |x| x) / width;
-        x.iter_mut().for_each(|x| *x -= mean);
-        let scale = 1.0 / (sum(x, |x| x * x) / width + self.epsilon).sqrt();
-        let channels = x.iter_mut().zip(&*self.gamma).zip(&*self.beta);
-        channels.for_each(|((x, g), b)| *x = *x * scale * g + b);
+        [mean, 1.0 / (sum(x, |x| (x - mean) * (x - mean)) / width + self.epsilon).sqrt()]
+    }
+
+    /// The columns of `norm(x)` from `first` on, `[R, PANEL]`, from rows `[R, C]` and their [`Self::moments`].
+    pub fn panel(&self, x: &[f32], moments: &[[f32; 2]], first: usize) -> Vec<f32> {
+        let [gamma, beta] = [&self.gamma, &self.beta].map(|values| &values[first..][..PANEL]);
+        let mut panel = vec![0.0f32; moments.len() * PANEL];
+        vectorised(|| {
+            let rows = panel.chunks_exact_mut(PANEL).zip(x.chunks_exact(self.width())).zip(moments);
+            for ((y, x), [mean, scale]) in rows {
+                let channels = x[first..].iter().zip(gamma).zip(beta);
+                y.iter_mut().zip(channels).for_each(|(y, ((x, g), b))| *y = (x - mean) * scale * g + b);
+            }
+        });
+        panel
     }
 }
 
 /// [`TokenMaps`] in host memory.
 pub(super) struct Tail {
-    linear: Map,
+    pub linear: Map,
     norm: Norm,
     expand: Map,
     squeeze: Map,
@@ -113,11 +140,13 @@ impl Tail {
 
     /// Tokens after the layer, from what they were and what they read: `[R, C]` each.
     pub fn write(&self, out: &mut [f32], x: &[f32], read: &[f32]) {
-        let mut attended = self.linear.apply(read);
+        self.write_projected(out, x, self.linear.apply(read));
+    }
+
+    /// [`Self::write`] from what the output projection makes of what they read.
+    pub fn write_projected(&self, out: &mut [f32], x: &[f32], mut attended: Vec<f32>) {
         self.norm.apply(&mut attended, x);
-        let mut hidden = self.expand.apply(&attended);
-        // NaN stays.
-        vectorised(|| hidden.iter_mut().for_each(|y| *y = if *y <= 0.0 { 0.0 } else { *y }));
+        let hidden = self.expand.apply_rectified(&attended);
         self.squeeze.write(out, &hidden);
         self.output_norm.apply(out, &attended);
     }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::{
     PositionBias,
+    rows::transposed,
     tape::{Values, plain},
 };
 use crate::simd::{add_product, dot, exp_of_negative, vectorised};
@@ -129,16 +130,18 @@ pub(super) fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
     let present = |block: usize| columns.min(tokens.saturating_sub(block * columns));
     let scale = 1.0 / (d as f32).sqrt();
     // Keys `[block, d, columns]`; padded ones get values of zero.
-    let (mut queries, mut keys) = (vec![0.0f32; count * d], vec![0.0f32; blocks * d * columns]);
-    let mut values = vec![0.0f32; blocks * columns * d];
+    let mut queries = vec![0.0f32; count * d];
     for (scaled, query) in queries.chunks_exact_mut(d).zip(rows.part(0)) {
         scaled.iter_mut().zip(query).for_each(|(q, x)| *q = x * scale);
     }
-    for (t, (key, value)) in rows.part(1).zip(rows.part(2)).enumerate() {
-        let keys = &mut keys[t / columns * d * columns..][..d * columns];
-        key.iter().enumerate().for_each(|(c, &x)| keys[c * columns + t % columns] = x);
-        values[t * d..][..d].copy_from_slice(value);
-    }
+    let padded = |part: usize| {
+        let mut padded = vec![0.0f32; blocks * columns * d];
+        padded.chunks_exact_mut(d).zip(rows.part(part)).for_each(|(padded, row)| padded.copy_from_slice(row));
+        padded
+    };
+    let keys: Vec<f32> =
+        padded(1).chunks_exact((columns * d).max(1)).flat_map(|k| transposed(k, d)).collect();
+    let values = padded(2);
     let products = bias.products(rows);
     let mut read = vec![0.0f32; count * d];
     let mut scores = vec![0.0f32; blocks * ROWS * columns];

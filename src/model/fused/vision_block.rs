@@ -12,7 +12,7 @@ use super::{
     self_attention::{Bias, Rows, head},
     tape::{Values, plain},
 };
-use crate::simd::{Blocks, PANEL, gelu, vectorised};
+use crate::simd::{PANEL, gelu, vectorised};
 
 pub fn vision_block(maps: &VisionMaps, x: &Tensor<3>) -> Option<Tensor<3>> {
     let [batch, tokens, width] = x.dims();
@@ -36,12 +36,14 @@ fn block(maps: &VisionMaps, x: &Tensor<3>, wanted: &[usize]) -> Option<Vec<f32>>
     let (qkv, scale1, scale2) = (qkv?, scale1?, scale2?);
     let x = Values::of(x)?;
 
-    let normed = normalised(&x, &norm1?, width);
+    let normed = normalised(&x, &norm1?)?;
     let all = wanted.len() == batch * tokens;
-    let chosen = if all { Vec::new() } else { selected(&normed, wanted, width) };
-    let queries = Blocks::of_rows(if all { &normed } else { &chosen }, width)?;
-    let queries = some_mapped(&queries, &qkv, 0..maps.heads, |_| {})?;
-    let memory = some_mapped(&Blocks::of_rows(&normed, width)?, &qkv, maps.heads..3 * maps.heads, |_| {})?;
+    let chosen: Vec<_> = match all {
+        true => Vec::new(),
+        false => normed.par_iter().map(|panel| selected(panel, wanted, PANEL)).collect(),
+    };
+    let queries = some_mapped(if all { &normed } else { &chosen }, &qkv, 0..maps.heads, |_| {})?;
+    let memory = some_mapped(&normed, &qkv, maps.heads..3 * maps.heads, |_| {})?;
     let read: Vec<Vec<f32>> = (0..maps.heads)
         .into_par_iter()
         .map(|index| {
@@ -60,14 +62,14 @@ fn block(maps: &VisionMaps, x: &Tensor<3>, wanted: &[usize]) -> Option<Vec<f32>>
             read
         })
         .collect();
-    let attended = mapped(&Blocks::of_panels(&read), &proj?, |_| {})?;
+    let attended = mapped(&read, &proj?, |_| {})?;
     let chosen = if all { Vec::new() } else { selected(&x, wanted, width) };
     let x = onto(if all { &x } else { &chosen }, &attended, &scale1);
 
-    let normed = normalised(&x, &norm2?, width);
+    let normed = normalised(&x, &norm2?)?;
     let activated = |panel: &mut [f32]| vectorised(|| panel.iter_mut().for_each(|y| *y = gelu(*y)));
-    let hidden = mapped(&Blocks::of_rows(&normed, width)?, &fc1?, activated)?;
-    let output = mapped(&Blocks::of_panels(&hidden), &fc2?, |_| {})?;
+    let hidden = mapped(&normed, &fc1?, activated)?;
+    let output = mapped(&hidden, &fc2?, |_| {})?;
     Some(onto(&x, &output, &scale2))
 }
 
