@@ -87,6 +87,7 @@ fn sparse_to_dense_block_matches() {
             features,
             sparse_rows: Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &f.device),
             embedding: f.tensor(&format!("embed{side}")),
+            own: None,
         }
     });
     let (first, second) = block.forward(first, second);

@@ -23,19 +23,35 @@ fn random<const D: usize>(seed: u64, shape: [usize; D]) -> Tensor<D> {
 }
 
 fn coarse(config: &ModelConfig) -> BlockOutput {
-    let width = config.geo_embedding.hidden_dim;
-    let stage = CoarsePointMatching::new(config, &mut Initializer::new(3, &Device::flex()));
-    let [query, reference] = [0, 1].map(|k| CoarseInput {
-        features: random(10 + k as u64, [1, SPARSE[k], config.color.out_dim()]),
-        embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
-    });
-    stage.forward(query, reference, Supervision::LastBlock).remove(0)
+    let [query, reference] = coarse_inputs(config);
+    coarse_stage(config).forward(query, reference, Supervision::LastBlock).remove(0)
 }
 
 fn fine(config: &ModelConfig) -> BlockOutput {
+    let [query, reference] = fine_inputs(config);
+    fine_stage(config).forward(query, reference, Supervision::LastBlock).remove(0)
+}
+
+fn coarse_stage(config: &ModelConfig) -> CoarsePointMatching {
+    CoarsePointMatching::new(config, &mut Initializer::new(3, &Device::flex()))
+}
+
+fn coarse_inputs(config: &ModelConfig) -> [CoarseInput; 2] {
     let width = config.geo_embedding.hidden_dim;
-    let stage = FinePointMatching::new(config, &mut Initializer::new(4, &Device::flex()));
-    let [query, reference] = [0, 1].map(|k| FineInput {
+    [0, 1].map(|k| CoarseInput {
+        features: random(10 + k as u64, [1, SPARSE[k], config.color.out_dim()]),
+        embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
+        own: None,
+    })
+}
+
+fn fine_stage(config: &ModelConfig) -> FinePointMatching {
+    FinePointMatching::new(config, &mut Initializer::new(4, &Device::flex()))
+}
+
+fn fine_inputs(config: &ModelConfig) -> [FineInput; 2] {
+    let width = config.geo_embedding.hidden_dim;
+    [0, 1].map(|k| FineInput {
         features: random(30 + k as u64, [1, DENSE[k], config.color.out_dim()]),
         position: random(40 + k as u64, [1, DENSE[k], width]),
         sparse_rows: Tensor::<1, Int>::from_data(
@@ -43,8 +59,8 @@ fn fine(config: &ModelConfig) -> BlockOutput {
             &Device::flex(),
         ),
         embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
-    });
-    stage.forward(query, reference, Supervision::LastBlock).remove(0)
+        own: None,
+    })
 }
 
 fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
@@ -103,4 +119,19 @@ fn the_paper_has_one_softmax_over_overlap_weighted_features() {
         let apart = got.weights.iter().zip(&release.weights).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart > 0.05, "{stage}: the two forms differ by {apart} only");
     }
+}
+
+#[test]
+fn first_layers_that_are_known_already_change_nothing() {
+    let config = Config::embedded("smoke", &[]).unwrap().model;
+    let [query, reference] = coarse_inputs(&config);
+    let kept = CoarseInput { own: Some(coarse_stage(&config).own(&reference)), ..reference };
+    let again = coarse_stage(&config).forward(query, kept, Supervision::LastBlock).remove(0);
+    assert_eq!(values(again.similarity), values(coarse(&config).similarity));
+
+    let [query, reference] = fine_inputs(&config);
+    let kept = FineInput { own: fine_stage(&config).own(reference.clone()), ..reference };
+    assert!(kept.own.is_some());
+    let again = fine_stage(&config).forward(query, kept, Supervision::LastBlock).remove(0);
+    assert_eq!(values(again.similarity), values(fine(&config).similarity));
 }

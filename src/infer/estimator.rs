@@ -22,7 +22,7 @@ use crate::{
     data::{CloudInput, normalised_pose, prepare_query, prepare_reference},
     device::DeviceChoice,
     frame::{Mask, RgbdFrame},
-    geometry::{Pose, StructureIndices},
+    geometry::Pose,
     model::UnoPose,
     registration::icp::refine_with,
 };
@@ -141,13 +141,6 @@ impl PoseEstimator {
     /// Values on the estimator's device.
     pub(super) fn tensor<const D: usize>(&self, values: Vec<f32>, shape: [usize; D]) -> Tensor<D> {
         Tensor::from_data(TensorData::new(values, shape), &self.device)
-    }
-
-    /// The structure embedding of one cloud, `[1, 1 + M, 1 + M, C]`.
-    pub(super) fn embedding(&self, structure: &StructureIndices) -> Tensor<4> {
-        let &StructureIndices { size, k, ref distances, ref angles } = structure;
-        let distances = self.tensor(distances.clone(), [1, size, size]);
-        self.model.geo_embedding.forward(distances, self.tensor(angles.clone(), [1, size, size, k]))
     }
 
     /// Prepares and encodes a reference view of an object.

@@ -39,7 +39,7 @@ pub fn estimate_pairs(
         let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
         let [query, reference] = network.clouds(&pairs);
         let [query_features, features] = model.encode_both(&query, &reference);
-        let encoded = with_positions(model, config, &references, features, device);
+        let encoded = with_positions(model, config, &references, (&reference, features), device);
         let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
         let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let sampling = Sampling { uniforms, first: estimates.len(), given: None };

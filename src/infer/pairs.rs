@@ -7,7 +7,7 @@ use crate::{
     config::ModelConfig,
     data::{CloudInput, PreparedReference},
     geometry::Pose,
-    model::{CloudFeatures, CloudTensors, UnoPose, group_tensors},
+    model::{CloudFeatures, CloudTensors, OwnLayers, UnoPose, group_tensors},
 };
 
 /// Pose of one pair with what explains it.
@@ -104,22 +104,29 @@ impl EncodedReferences {
             Tensor::cat(tensors.collect(), 0)
         }
         let all = || items.iter();
-        let positions: Option<Vec<_>> = all().map(|item| item.position.clone()).collect();
+        let where_all_are = |tensor: fn(&Self) -> Option<Tensor<3>>| {
+            let tensors: Option<Vec<_>> = all().map(|item| tensor(item)).collect();
+            tensors.map(|tensors| joined(tensors.into_iter()))
+        };
         (!items.is_empty()).then(|| Self {
             features: CloudFeatures {
                 dense: joined(all().map(|item| item.features.dense.clone())),
                 embedding: joined(all().map(|item| item.features.embedding.clone())),
+                own: OwnLayers {
+                    coarse: where_all_are(|item| item.features.own.coarse.clone()),
+                    fine: where_all_are(|item| item.features.own.fine.clone()),
+                },
             },
-            position: positions.map(|positions| joined(positions.into_iter())),
+            position: where_all_are(|item| item.position.clone()),
         })
     }
 
     /// Size on the device.
     pub fn bytes(&self) -> usize {
-        let position = self.position.as_ref().map_or(0, |p| p.shape().num_elements());
-        let numbers =
-            self.features.dense.shape().num_elements() + self.features.embedding.shape().num_elements();
-        4 * (numbers + position)
+        let CloudFeatures { dense, embedding, own } = &self.features;
+        let optional = [&self.position, &own.coarse, &own.fine].into_iter().flatten();
+        let numbers: usize = optional.map(|tensor| tensor.shape().num_elements()).sum();
+        4 * (numbers + dense.shape().num_elements() + embedding.shape().num_elements())
     }
 }
 
@@ -131,8 +138,9 @@ pub fn encode_references(
     device: &Device,
 ) -> EncodedReferences {
     let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
-    let features = model.encode(&CloudTensors::from_clouds(&clouds, config, device));
-    with_positions(model, config, references, features, device)
+    let clouds = CloudTensors::from_clouds(&clouds, config, device);
+    let features = model.encode(&clouds);
+    with_positions(model, config, references, (&clouds, features), device)
 }
 
 /// Adds what the fine stage needs of the references.
@@ -140,7 +148,7 @@ pub(super) fn with_positions(
     model: &UnoPose,
     config: &ModelConfig,
     references: &[&PreparedReference],
-    features: CloudFeatures,
+    (clouds, features): (&CloudTensors, CloudFeatures),
     device: &Device,
 ) -> EncodedReferences {
     let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
@@ -148,5 +156,5 @@ pub(super) fn with_positions(
         .fine_point_matching
         .as_ref()
         .map(|stage| stage.position(&group_tensors(&groups, config, device)));
-    EncodedReferences { features, position }
+    EncodedReferences { features: model.with_own_layers(clouds, features, position.clone()), position }
 }

@@ -2,14 +2,15 @@
 //!
 //! A safetensors file holds the sampled cloud, its colour features and positional encoding, and all measured points (for
 //! refinement and drawing). The structure embedding is made anew from the stored distances and angles, which take a
-//! small part of its size. The metadata name the network; a file is refused by any other.
+//! small part of its size, and so are the stages' first layers. The metadata name the network; a file is refused by any
+//! other.
 
 use std::{collections::BTreeMap, path::Path, sync::OnceLock};
 
 use burn::tensor::{Tensor, TensorData};
 
 use super::{EncodedReferences, InferError, PoseEstimator, Reference};
-use crate::{checkpoint::TensorFile, data::CloudInput, geometry::StructureIndices, model::CloudFeatures};
+use crate::{checkpoint::TensorFile, data::CloudInput, geometry::StructureIndices, model::CloudTensors};
 
 /// What the metadata entry `kind` says.
 const KIND: &str = "unopose reference 1";
@@ -78,13 +79,12 @@ impl PoseEstimator {
         let features = file.take("features", &[1, n, config.color.out_dim()])?;
         let width = config.fine.matching.hidden_dim;
         let position = config.use_fine.then(|| file.take("position", &[1, n, width])).transpose()?;
-        let encoded = EncodedReferences {
-            features: CloudFeatures {
-                dense: self.tensor(features, [1, n, config.color.out_dim()]),
-                embedding: self.embedding(&cloud.structure),
-            },
-            position: position.map(|position| self.tensor(position, [1, n, width])),
-        };
+        let position = position.map(|position| self.tensor(position, [1, n, width]));
+        let tensors = CloudTensors::from_clouds(&[&cloud], config, &self.device);
+        let dense = self.tensor(features, [1, n, config.color.out_dim()]);
+        let features = self.model.encode_structure(&tensors, dense);
+        let features = self.model.with_own_layers(&tensors, features, position.clone());
+        let encoded = EncodedReferences { features, position };
         Ok(Reference { cloud, radius, encoded, points, surface: OnceLock::new(), seconds: 0.0 })
     }
 }

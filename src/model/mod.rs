@@ -65,6 +65,15 @@ pub struct CloudFeatures {
     pub dense: Tensor<3>,
     /// Structure embedding `[B, 1 + M, 1 + M, C]`.
     pub embedding: Tensor<4>,
+    pub own: OwnLayers,
+}
+
+/// Sparse tokens of a cloud after the first layer of the coarse and of the fine stage, which do not look at the other
+/// cloud, `[B, 1 + M, C]`; `None` where they are not kept but computed with the rest.
+#[derive(Clone, Debug, Default)]
+pub struct OwnLayers {
+    pub coarse: Option<Tensor<3>>,
+    pub fine: Option<Tensor<3>>,
 }
 
 impl UnoPose {
@@ -87,7 +96,22 @@ impl UnoPose {
     /// [`Self::encode`] with colour features `[B, N, C_color]` that are already there.
     pub fn encode_structure(&self, cloud: &CloudTensors, colors: Tensor<3>) -> CloudFeatures {
         let embedding = self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone());
-        CloudFeatures { dense: colors, embedding }
+        CloudFeatures { dense: colors, embedding, own: OwnLayers::default() }
+    }
+
+    /// Adds the first layers of both stages to what can be kept of a cloud with its positional encoding.
+    pub fn with_own_layers(
+        &self,
+        cloud: &CloudTensors,
+        features: CloudFeatures,
+        position: Option<Tensor<3>>,
+    ) -> CloudFeatures {
+        let coarse = self.coarse_point_matching.own(&coarse_input(cloud, &features));
+        let fine = match (&self.fine_point_matching, position) {
+            (Some(stage), Some(position)) => stage.own(fine_input(cloud, &features, position)),
+            _ => None,
+        };
+        CloudFeatures { own: OwnLayers { coarse: Some(coarse), fine }, ..features }
     }
 
     /// [`Self::encode`] of two batches of clouds. Clouds of equal sizes share the pass over their images, which
@@ -112,6 +136,7 @@ impl UnoPose {
         [(of_a, 0, first), (of_b, first, second)].map(|(dense, start, count)| CloudFeatures {
             dense,
             embedding: embedding.clone().narrow(0, start, count),
+            own: OwnLayers::default(),
         })
     }
 
@@ -122,10 +147,7 @@ impl UnoPose {
         reference: (&CloudTensors, &CloudFeatures),
         which: Supervision,
     ) -> Vec<BlockOutput> {
-        let [query, reference] = [query, reference].map(|(cloud, features)| CoarseInput {
-            features: sparse_features(cloud, features),
-            embedding: features.embedding.clone(),
-        });
+        let [query, reference] = [query, reference].map(|(cloud, features)| coarse_input(cloud, features));
         self.coarse_point_matching.forward(query, reference, which)
     }
 
@@ -137,12 +159,8 @@ impl UnoPose {
         which: Supervision,
     ) -> Vec<BlockOutput> {
         let Some(stage) = &self.fine_point_matching else { return Vec::new() };
-        let [query, reference] = [query, reference].map(|(cloud, features, position)| FineInput {
-            features: features.dense.clone(),
-            position,
-            sparse_rows: cloud.sparse_tokens.clone(),
-            embedding: features.embedding.clone(),
-        });
+        let [query, reference] =
+            [query, reference].map(|(cloud, features, position)| fine_input(cloud, features, position));
         stage.forward(query, reference, which)
     }
 
@@ -178,6 +196,24 @@ impl UnoPose {
             _ => Vec::new(),
         };
         MatchingOutputs { coarse, fine }
+    }
+}
+
+fn coarse_input(cloud: &CloudTensors, features: &CloudFeatures) -> CoarseInput {
+    CoarseInput {
+        features: sparse_features(cloud, features),
+        embedding: features.embedding.clone(),
+        own: features.own.coarse.clone(),
+    }
+}
+
+fn fine_input(cloud: &CloudTensors, features: &CloudFeatures, position: Tensor<3>) -> FineInput {
+    FineInput {
+        features: features.dense.clone(),
+        position,
+        sparse_rows: cloud.sparse_tokens.clone(),
+        embedding: features.embedding.clone(),
+        own: features.own.fine.clone(),
     }
 }
 

@@ -26,11 +26,13 @@ pub struct DenseTokens {
     pub sparse_rows: Tensor<1, Int>,
     /// Structure embedding of the sparse points `[B, 1 + M, 1 + M, C]`.
     pub embedding: Tensor<4>,
+    /// The sparse tokens after the next block's layer on their own cloud `[B, 1 + M, C]`, where they are known already.
+    pub own: Option<Tensor<3>>,
 }
 
 impl DenseTokens {
     /// `[B, 1 + M, C]`.
-    fn sparse(&self) -> Tensor<3> {
+    pub(super) fn sparse(&self) -> Tensor<3> {
         let [batch, tokens, width] = self.features.dims();
         let rows = self.sparse_rows.dims()[0];
         let dense = self.features.clone().reshape([batch * tokens, width]);
@@ -54,16 +56,15 @@ impl SparseToDenseTransformer {
 
     /// Updates the features of both clouds.
     pub fn forward(&self, query: DenseTokens, reference: DenseTokens) -> (DenseTokens, DenseTokens) {
-        let (sparse_query, sparse_reference) = self.sparse_layer.forward(
-            query.sparse(),
-            query.embedding.clone(),
-            reference.sparse(),
-            reference.embedding.clone(),
-        );
+        let [own_query, own_reference] = [&query, &reference].map(|cloud| match &cloud.own {
+            Some(own) => own.clone(),
+            None => self.sparse_layer.own(cloud.sparse(), cloud.embedding.clone()),
+        });
+        let (sparse_query, sparse_reference) = self.sparse_layer.cross(own_query, own_reference);
         (self.spread(query, sparse_query), self.spread(reference, sparse_reference))
     }
 
     fn spread(&self, dense: DenseTokens, sparse: Tensor<3>) -> DenseTokens {
-        DenseTokens { features: self.dense_layer.spread(dense.features, sparse), ..dense }
+        DenseTokens { features: self.dense_layer.spread(dense.features, sparse), own: None, ..dense }
     }
 }

@@ -51,6 +51,8 @@ pub struct CoarseInput {
     pub features: Tensor<3>,
     /// Structure embedding `[B, 1 + M, 1 + M, C]`.
     pub embedding: Tensor<4>,
+    /// What [`CoarsePointMatching::own`] gives of these, where it is known already.
+    pub own: Option<Tensor<3>>,
 }
 
 /// One cloud's inputs of the fine stage.
@@ -64,6 +66,8 @@ pub struct FineInput {
     pub sparse_rows: Tensor<1, Int>,
     /// Structure embedding `[B, 1 + M, 1 + M, C]`.
     pub embedding: Tensor<4>,
+    /// What [`FinePointMatching::own`] gives of these, where it is known already.
+    pub own: Option<Tensor<3>>,
 }
 
 /// Which blocks are compared.
@@ -104,6 +108,15 @@ impl CoarsePointMatching {
         }
     }
 
+    /// A cloud's tokens after the first layer, which does not look at the other cloud: `[B, 1 + M, C]`.
+    pub fn own(&self, cloud: &CoarseInput) -> Tensor<3> {
+        let tokens = self.head().tokens(cloud.features.clone(), None);
+        match self.transformers.first() {
+            Some(block) => block.own(tokens, like(cloud.embedding.clone(), &self.in_proj.weight)),
+            None => tokens,
+        }
+    }
+
     /// Similarities and overlaps, one per compared block.
     pub fn forward(
         &self,
@@ -111,12 +124,15 @@ impl CoarsePointMatching {
         reference: CoarseInput,
         which: Supervision,
     ) -> Vec<BlockOutput> {
-        let [from, to] = [query.embedding, reference.embedding].map(|e| like(e, &self.in_proj.weight));
-        let mut q = self.head().tokens(query.features, None);
-        let mut p = self.head().tokens(reference.features, None);
+        let clouds = [&query, &reference];
+        let [mut q, mut p] = clouds.map(|cloud| cloud.own.clone().unwrap_or_else(|| self.own(cloud)));
+        let [from, to] = clouds.map(|cloud| like(cloud.embedding.clone(), &self.in_proj.weight));
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {
-            (q, p) = block.forward(q, from.clone(), p, to.clone());
+            if index > 0 {
+                (q, p) = (block.own(q, from.clone()), block.own(p, to.clone()));
+            }
+            (q, p) = block.cross(q, p);
             if which == Supervision::AllBlocks || index + 1 == self.transformers.len() {
                 outputs.push(self.head().compare(index, q.clone(), p.clone()));
             }
@@ -160,13 +176,25 @@ impl FinePointMatching {
         self.PE.forward(groups)
     }
 
-    /// Similarities and overlaps, one per compared block.
-    pub fn forward(&self, query: FineInput, reference: FineInput, which: Supervision) -> Vec<BlockOutput> {
-        let [mut q, mut p] = [query, reference].map(|cloud| DenseTokens {
+    fn tokens(&self, cloud: FineInput) -> DenseTokens {
+        DenseTokens {
             features: self.head().tokens(cloud.features, Some(cloud.position)),
             sparse_rows: cloud.sparse_rows,
             embedding: like(cloud.embedding, &self.in_proj.weight),
-        });
+            own: cloud.own,
+        }
+    }
+
+    /// A cloud's sparse tokens after the first layer, which does not look at the other cloud: `[B, 1 + M, C]`.
+    pub fn own(&self, cloud: FineInput) -> Option<Tensor<3>> {
+        let block = self.transformers.first()?;
+        let tokens = self.tokens(cloud);
+        Some(block.sparse_layer.own(tokens.sparse(), tokens.embedding))
+    }
+
+    /// Similarities and overlaps, one per compared block.
+    pub fn forward(&self, query: FineInput, reference: FineInput, which: Supervision) -> Vec<BlockOutput> {
+        let [mut q, mut p] = [query, reference].map(|cloud| self.tokens(cloud));
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {
             (q, p) = block.forward(q, p);

@@ -113,11 +113,18 @@ impl GeometricTransformer {
         reference: Tensor<3>,
         reference_embedding: Tensor<4>,
     ) -> (Tensor<3>, Tensor<3>) {
-        let [own, cross] = [&self.layers[0], &self.layers[1]];
-        let query = own.forward(query.clone(), query, Some(query_embedding));
-        let reference = own.forward(reference.clone(), reference, Some(reference_embedding));
-        let query = cross.forward(query, reference.clone(), None);
-        let reference = cross.forward(reference, query.clone(), None);
+        self.cross(self.own(query, query_embedding), self.own(reference, reference_embedding))
+    }
+
+    /// The layer of one cloud on itself, which does not depend on the other.
+    pub fn own(&self, x: Tensor<3>, embedding: Tensor<4>) -> Tensor<3> {
+        self.layers[0].forward(x.clone(), x, Some(embedding))
+    }
+
+    /// The layer between the clouds.
+    pub fn cross(&self, query: Tensor<3>, reference: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+        let query = self.layers[1].forward(query, reference.clone(), None);
+        let reference = self.layers[1].forward(reference, query.clone(), None);
         (query, reference)
     }
 }

@@ -19,7 +19,7 @@ use crate::{
     geometry::{Assignment, CoarsePose, Pose, fine_pose, local_sign_counts},
     infer::host_assignments,
     model::{
-        BlockOutput, CloudFeatures, CloudTensors, DenseTokens, PixelChoice, Supervision, UnoPose,
+        BlockOutput, CloudFeatures, CloudTensors, DenseTokens, OwnLayers, PixelChoice, Supervision, UnoPose,
         group_tensors,
     },
 };
@@ -101,7 +101,7 @@ fn side<'a>(
     out.tensor(format!("dense_f{letter}"), dense.clone())?;
     let embedding = model.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone());
     out.tensor(format!("geo_embedding_{letter}"), embedding.clone())?;
-    let features = CloudFeatures { dense, embedding };
+    let features = CloudFeatures { dense, embedding, own: OwnLayers::default() };
     let sparse = rows_of(features.dense.clone(), &cloud.sparse_points);
     out.tensor(format!("sparse_f{letter}"), sparse)?;
     Ok(Side { cloud, features, letter, number })
@@ -229,6 +229,7 @@ fn fine(
             ),
             sparse_rows: side.cloud.sparse_tokens.clone(),
             embedding: side.features.embedding.clone(),
+            own: None,
         })
         .collect();
     let Ok([mut q, mut p]) = <[DenseTokens; 2]>::try_from(dense) else {

@@ -27,8 +27,13 @@ pub fn interpolated_embedding(
             vectorised(|| {
                 let pairs = distances.iter().zip(angles.chunks_exact(k));
                 for (row, (&distance, angles)) in rows.chunks_exact_mut(width).zip(pairs) {
-                    largest(row, a, angles);
-                    add(row, d, distance);
+                    match *angles {
+                        [x, y, z] => largest_of_three(row, a, [x, y, z], d, distance),
+                        _ => {
+                            largest(row, a, angles);
+                            add(row, d, distance);
+                        }
+                    }
                 }
             });
         });
@@ -86,6 +91,23 @@ fn largest(row: &mut [f32], table: &[f32], positions: &[f32]) {
             let y = b + (a - b) * fraction;
             *value = if y > *value { y } else { *value };
         }
+    }
+}
+
+/// [`largest`] of three positions and [`add`] in one pass over the row.
+#[inline(always)]
+fn largest_of_three(row: &mut [f32], angles: &[f32], positions: [f32; 3], distances: &[f32], distance: f32) {
+    let width = row.len();
+    let [x, y, z] = positions.map(|position| bracket(angles, width, position));
+    let between = |(below, above): (&f32, &f32), fraction: f32| below + (above - below) * fraction;
+    let larger = |a: f32, b: f32| if b > a { b } else { a };
+    let (below, above, fraction) = bracket(distances, width, distance);
+    let of_angles = x.0.iter().zip(x.1).zip(y.0.iter().zip(y.1)).zip(z.0.iter().zip(z.1));
+    for ((value, ((of_x, of_y), of_z)), of_distance) in
+        row.iter_mut().zip(of_angles).zip(below.iter().zip(above))
+    {
+        let largest = larger(larger(between(of_x, x.2), between(of_y, y.2)), between(of_z, z.2));
+        *value = largest + between(of_distance, fraction);
     }
 }
 

@@ -139,8 +139,10 @@ pub(super) fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
         padded.chunks_exact_mut(d).zip(rows.part(part)).for_each(|(padded, row)| padded.copy_from_slice(row));
         padded
     };
-    let keys: Vec<f32> =
-        padded(1).chunks_exact((columns * d).max(1)).flat_map(|k| transposed(k, d)).collect();
+    let mut keys = Vec::with_capacity(blocks * columns * d);
+    for block in padded(1).chunks_exact((columns * d).max(1)) {
+        keys.extend_from_slice(&transposed(block, d));
+    }
     let values = padded(2);
     let products = bias.products(rows);
     let mut read = vec![0.0f32; count * d];
