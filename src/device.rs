@@ -31,6 +31,11 @@ pub enum DeviceError {
     NoHardware(DeviceChoice),
     #[error("this build has no backend at all; build it with one of the features flex, ndarray, wgpu, cuda")]
     NoBackend,
+    #[error(
+        "the cuda backend compiles its kernels with {0}, which is missing; install the CUDA toolkit, or its packages NVRTC and \
+         CUDART with headers, and set CUDA_PATH to its folder"
+    )]
+    NoKernelCompiler(&'static str),
     #[error("this device does not compute in {0}; expected f32, or a GPU with {0}")]
     NoPrecision(Precision),
 }
@@ -155,7 +160,16 @@ fn wgpu() -> Opened {
 
 #[cfg(feature = "cuda")]
 fn cuda() -> Opened {
-    first_of(burn::tensor::DeviceType::Cuda, DeviceChoice::Cuda)
+    let device = first_of(burn::tensor::DeviceType::Cuda, DeviceChoice::Cuda)?;
+    let headers = cubecl::cuda::install::cuda_path().map(|path| path.join("include/cuda_fp16.h"));
+    if !headers.is_some_and(|header| header.is_file()) {
+        return Err(DeviceError::NoKernelCompiler("the toolkit's headers (include/cuda_fp16.h)"));
+    }
+    // Loading the library panics where there is none.
+    match std::panic::catch_unwind(|| cudarc::nvrtc::compile_ptx("")) {
+        Ok(Ok(_)) => Ok(device),
+        _ => Err(DeviceError::NoKernelCompiler("NVRTC (libnvrtc)")),
+    }
 }
 
 #[cfg(not(feature = "cuda"))]
