@@ -179,8 +179,11 @@ impl<T: Copy> Tile<'_, T> {
         for (r, sums) in sums.iter().enumerate() {
             let out = &mut out[(self.row + r) * self.stride + self.start..];
             for (v, &sum) in sums.iter().enumerate() {
-                // The second of both where one is NaN.
-                out[v] = if self.rectify { simd.max_f32s(zero, sum) } else { sum };
+                // A maximum would lose NaN on some processors.
+                out[v] = match self.rectify {
+                    true => simd.select_f32s(simd.less_than_f32s(sum, zero), zero, sum),
+                    false => sum,
+                };
             }
         }
         R
