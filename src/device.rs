@@ -73,7 +73,7 @@ impl DeviceChoice {
         match self {
             Self::Auto => [Self::Cuda, Self::Wgpu, Self::Flex, Self::NdArray]
                 .into_iter()
-                .filter_map(|choice| choice.open().ok())
+                .filter_map(|choice| choice.open().inspect_err(tell_of_unused_gpu).ok())
                 .find(|(device, _)| !is_software(device))
                 .ok_or(DeviceError::NoBackend),
             Self::Flex => flex(),
@@ -81,6 +81,13 @@ impl DeviceChoice {
             Self::Wgpu => wgpu(),
             Self::Cuda => cuda(),
         }
+    }
+}
+
+/// A GPU that is passed over for what is missing beside it is worth a word.
+fn tell_of_unused_gpu(error: &DeviceError) {
+    if let DeviceError::NoKernelCompiler(_) = error {
+        tracing::warn!("{error}");
     }
 }
 

@@ -44,7 +44,7 @@ pub fn estimate_pairs(
         let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let sampling = Sampling { uniforms, first: estimates.len(), given: None };
         let (traces, _) = network.match_encoded(&pairs, &clouds, sampling, times)?;
-        estimates.extend(poses(&traces, &pairs));
+        estimates.extend(traces.iter().zip(&pairs).map(|(trace, pair)| trace.estimate(pair)));
     }
     Ok(estimates)
 }
@@ -61,10 +61,6 @@ pub fn estimate_encoded(
     let network = Network { model, config, device };
     let sampling = Sampling { uniforms, first: 0, given: None };
     network.map_encoded(pairs, references, sampling, |trace, pair| trace.estimate(pair))
-}
-
-fn poses(traces: &[PairTrace], pairs: &[CloudPair<'_>]) -> Vec<PairEstimate> {
-    traces.iter().zip(pairs).map(|(trace, pair)| trace.estimate(pair)).collect()
 }
 
 /// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
@@ -148,8 +144,9 @@ impl Network<'_> {
         let (mut finished, mut times) = (Vec::with_capacity(pairs.len()), StageTimes::default());
         for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
             let start = Instant::now();
-            let [queries, _] = self.clouds(pairs);
-            let colors = self.model.feature_extraction.forward(queries.images, &queries.choose);
+            let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+            let (images, choose) = CloudTensors::views(&queries, self.config, self.device);
+            let colors = self.model.feature_extraction.forward(images, &choose);
             times.encode += start.elapsed().as_secs_f64();
             let (first, start) = (finished.len(), Instant::now());
             let matched: Vec<_> = pairs

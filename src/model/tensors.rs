@@ -44,10 +44,18 @@ pub struct PairTensors {
 }
 
 impl CloudTensors {
+    /// What the colour network reads of `clouds` of equal sizes: [`Self::images`] and [`Self::choose`].
+    pub fn views(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> (Tensor<4>, PixelChoice) {
+        let shape = [clouds.len(), 3, config.image_size, config.image_size];
+        (
+            float(shape, clouds.iter().map(|c| c.rgb.as_slice()), device),
+            PixelChoice::new(clouds.iter().map(|c| c.choose.as_slice())),
+        )
+    }
+
     /// `clouds` of equal sizes.
     pub fn from_clouds(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> Self {
         let batch = clouds.len();
-        let side = config.image_size;
         let n = clouds.first().map_or(0, |c| c.points.len());
         let m = clouds.first().map_or(0, |c| c.sparse.len());
         let (size, k) = clouds.first().map_or((0, 0), |c| (c.structure.size, c.structure.k));
@@ -60,9 +68,10 @@ impl CloudTensors {
             sparse_tokens.push((b * (n + 1)) as i32);
             sparse_tokens.extend(cloud.sparse.iter().map(|&i| (b * (n + 1)) as i32 + i as i32 + shift));
         }
+        let (images, choose) = Self::views(clouds, config, device);
         Self {
-            images: float([batch, 3, side, side], clouds.iter().map(|c| c.rgb.as_slice()), device),
-            choose: PixelChoice::new(clouds.iter().map(|c| c.choose.as_slice())),
+            images,
+            choose,
             points: float([batch, n, 3], clouds.iter().map(|c| c.points.as_flattened()), device),
             sparse_points: int(sparse_points, device),
             sparse_tokens: int(sparse_tokens, device),

@@ -13,8 +13,8 @@ use crate::simd::{PANEL, add_panel, panels_of_rows, vectorised};
 
 /// Rows per parallel task.
 const ROWS: usize = 8;
-/// Panels of the left matrix that all panels of the result are computed from before the next ones: with the thousand
-/// rows of four images these are three megabytes, which stay in the cache that the cores share.
+/// Panels of the left matrix that all panels of the result are computed from before the next ones: with the two thousand
+/// rows of eight images these are six megabytes, which stay in the cache that the cores share.
 const DEPTH: usize = 12;
 
 /// `end(x W + b)`, `x` and the result by panels `[R, PANEL]`; `None` for sizes that are no multiples of [`PANEL`].
