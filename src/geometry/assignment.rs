@@ -97,7 +97,7 @@ pub fn match_assignment(similarity: &[f32], overlap_query: &[f32], overlap_refer
                 .map(|(r, ((out, row), &scale))| {
                     shift.weigh(row, out, scale, &column_scale);
                     let index = (b * BLOCK + r) as u32;
-                    vectorised(|| {
+                    vectorised!({
                         let columns = column_best.0.iter_mut().zip(&mut column_best.1).zip(&*out);
                         for ((best, row), &o) in columns {
                             let better = o > *best;
@@ -132,24 +132,24 @@ impl Shift {
     fn of(similarity: &[f32], columns: usize) -> Self {
         let ranges: Vec<[f32; 2]> = similarity
             .par_chunks(BLOCK * columns)
-            .map(|block| vectorised(|| [lanes(block, f32::INFINITY, smaller), maximum(block)]))
+            .map(|block| vectorised!([lanes(block, f32::INFINITY, smaller), maximum(block)]))
             .collect();
         let smallest = ranges.iter().map(|range| range[0]).fold(f32::INFINITY, smaller);
         let largest = ranges.iter().map(|range| range[1]).fold(f32::NEG_INFINITY, larger);
         if largest - smallest <= SPREAD {
             return Self::Shared(largest);
         }
-        let by_block = |block: &[f32]| vectorised(|| by_column(block, columns, f32::NEG_INFINITY, larger));
+        let by_block = |block: &[f32]| vectorised!(by_column(block, columns, f32::NEG_INFINITY, larger));
         let rows = similarity.par_chunks(columns).with_min_len(BLOCK);
         Self::Separate {
-            rows: rows.map(|row| vectorised(|| maximum(row))).collect(),
+            rows: rows.map(|row| vectorised!(maximum(row))).collect(),
             columns: merge(similarity.par_chunks(BLOCK * columns).map(by_block).collect(), larger),
         }
     }
 
     /// Exponentials of row `r` relative to its shift, and their sum; those relative to the columns' are added up.
     fn exponentials(&self, r: usize, row: &[f32], out: &mut [f32], column_sum: &mut [f32]) -> f32 {
-        vectorised(|| {
+        vectorised!({
             match self {
                 Self::Shared(shift) => {
                     for ((o, &s), c) in out.iter_mut().zip(row).zip(column_sum) {
@@ -171,7 +171,7 @@ impl Shift {
 
     /// From the exponentials of a row to its weights.
     fn weigh(&self, row: &[f32], out: &mut [f32], scale: f32, column_scale: &[f32]) {
-        vectorised(|| match self {
+        vectorised!(match self {
             Self::Shared(_) => {
                 out.iter_mut().zip(column_scale).for_each(|(o, &c)| *o = *o * scale * (*o * c));
             }
@@ -186,7 +186,7 @@ impl Shift {
 
 /// The first column of the largest weight.
 fn best_column(weights: &[f32]) -> u32 {
-    vectorised(|| {
+    vectorised!({
         let max = maximum(weights);
         // Whole runs, which vectorises.
         let run = weights.chunks(64).position(|run| run.iter().fold(false, |found, &w| found | (w == max)));

@@ -9,7 +9,7 @@ use super::{
     procrustes::vector,
     reference_frame::{COUNTED_HEIGHT, FrameAxes, local_axes},
 };
-use crate::config::Quirks;
+use crate::{config::Quirks, simd::vectorised};
 
 /// How the axes of local frames are formed; the release's form has both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -81,18 +81,24 @@ pub fn ball_query(centres: &[[f32; 3]], points: &[[f32; 3]], radius: f32, sample
 /// Fills `row` with the points inside the ball and returns their number (at most the row's length).
 fn ball_of(columns: &Columns, centre: [f32; 3], squared_radius: f32, row: &mut [u32]) -> usize {
     let mut count = 0;
-    for (run, distances) in columns.squared_distances(centre).enumerate() {
-        if !distances.iter().fold(false, |any, &d| any | (d < squared_radius)) {
-            continue;
-        }
-        for l in (0..LANES).filter(|&l| distances[l] < squared_radius) {
-            if count == row.len() {
-                return count;
+    vectorised!({
+        for run in 0..columns.runs() {
+            let distances = columns.squared_distances(centre, run);
+            let mut any = false;
+            for d in distances {
+                any |= d < squared_radius;
             }
-            row[count] = (run * LANES + l) as u32;
-            count += 1;
+            if !any {
+                continue;
+            }
+            for (l, d) in distances.into_iter().enumerate() {
+                if d < squared_radius && count < row.len() {
+                    row[count] = (run * LANES + l) as u32;
+                    count += 1;
+                }
+            }
         }
-    }
+    });
     count
 }
 

@@ -1,6 +1,7 @@
 //! Farthest point sampling and the extent of a cloud.
 
 use super::columns::{Columns, LANES};
+use crate::simd::vectorised;
 
 /// Indices of `n` points, each the farthest from those before it, starting with point 0. `n` is capped at the
 /// number of points.
@@ -25,17 +26,18 @@ pub fn farthest_point_sampling(points: &[[f32; 3]], n: usize) -> Vec<u32> {
     let mut last = 0usize;
     while chosen.len() < count {
         let mut best = [f32::NEG_INFINITY; LANES];
-        for ((run, run_max), d) in
-            nearest.iter_mut().zip(&mut run_best).zip(columns.squared_distances(points[last]))
-        {
-            let mut lane_max = [f32::NEG_INFINITY; 4];
-            for l in 0..LANES {
-                run[l] = if d[l] < run[l] { d[l] } else { run[l] };
-                best[l] = if run[l] > best[l] { run[l] } else { best[l] };
-                lane_max[l % 4] = if run[l] > lane_max[l % 4] { run[l] } else { lane_max[l % 4] };
+        vectorised!({
+            for (index, (run, run_max)) in nearest.iter_mut().zip(&mut run_best).enumerate() {
+                let d = columns.squared_distances(points[last], index);
+                let mut lane_max = [f32::NEG_INFINITY; 4];
+                for l in 0..LANES {
+                    run[l] = if d[l] < run[l] { d[l] } else { run[l] };
+                    best[l] = if run[l] > best[l] { run[l] } else { best[l] };
+                    lane_max[l % 4] = if run[l] > lane_max[l % 4] { run[l] } else { lane_max[l % 4] };
+                }
+                *run_max = lane_max[0].max(lane_max[1]).max(lane_max[2].max(lane_max[3]));
             }
-            *run_max = lane_max[0].max(lane_max[1]).max(lane_max[2].max(lane_max[3]));
-        }
+        });
         let farthest = best.into_iter().fold(f32::NEG_INFINITY, f32::max);
         last = nearest
             .iter()

@@ -91,7 +91,7 @@ fn sinusoid_grid(entries: usize, width: usize, device: &Device) -> Tensor<2> {
     grid.par_chunks_mut((RUN * width).max(1)).enumerate().for_each(|(run, rows)| {
         let mut now: Vec<(f64, f64)> =
             frequencies.iter().map(|f| (f * (run * RUN) as f64).sin_cos()).collect();
-        vectorised(|| {
+        vectorised!({
             for row in rows.chunks_exact_mut(width) {
                 let entries = row.chunks_exact_mut(2).zip(now.iter_mut().zip(&turns));
                 for (pair, ((sin, cos), (turn_sin, turn_cos))) in entries {

@@ -1,19 +1,35 @@
 //! Arithmetic on slices for the widest vectors of the CPU at hand.
 //!
-//! The functions here are written so that the compiler can turn loops over them into vector code; [`vectorised`]
+//! The functions here are written so that the compiler can turn loops over them into vector code; `vectorised`
 //! compiles a loop for several instruction sets and picks one at run time.
 
 mod panel;
 mod product;
+mod row_products;
 
 pub use panel::{PANEL, add_panel, panels_of_rows};
 pub use product::{add_product, add_transposed_product, map_rows};
+pub use row_products::row_products;
 
-/// Runs `work` in a version compiled for this CPU (AVX-512, AVX2 or the target's baseline).
+/// Computes an expression in a version compiled for this CPU (AVX-512, AVX2 or the target's baseline).
 ///
-/// Only code that is inlined into `work` is compiled anew: loops over slices and `#[inline(always)]` functions.
+/// Only code that is inlined is compiled anew: the expression itself, loops over slices in it, and functions and closures
+/// marked `#[inline(always)]`; anything else runs as the target's baseline.
+macro_rules! vectorised {
+    ($work:expr) => {
+        // A closure that is not marked may be left out of the versions when it is long.
+        $crate::simd::dispatch(
+            #[inline(always)]
+            || $work,
+        )
+    };
+}
+pub(crate) use vectorised;
+
+/// For `vectorised`. The bound makes a closure's only body that of `FnOnce`; one whose body is that of `Fn` would be called
+/// by way of a function of the baseline.
 #[inline(always)]
-pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
+pub(crate) fn dispatch<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)
 }
 
@@ -23,15 +39,15 @@ pub fn exp_of_negative(x: f32) -> f32 {
     let clamped = if x < -87.0 { -87.0 } else { x };
     // Adding 1.5 * 2^23 rounds to the nearest integer and leaves it in the low mantissa bits.
     const ROUND: f32 = 12_582_912.0;
-    let shifted = clamped * std::f32::consts::LOG2_E + ROUND;
+    let shifted = clamped.mul_add(std::f32::consts::LOG2_E, ROUND);
     let n = shifted - ROUND;
-    let r = (clamped - n * 0.693_359_4) + n * 2.121_944_4e-4;
-    let p = 1.987_569_1e-4 * r + 1.398_2e-3;
-    let p = p * r + 8.333_452e-3;
-    let p = p * r + 4.166_579_6e-2;
-    let p = p * r + 1.666_666_5e-1;
-    let p = p * r + 0.5;
-    let value = p * r * r + r + 1.0;
+    let r = n.mul_add(2.121_944_4e-4, n.mul_add(-0.693_359_4, clamped));
+    let p = 1.987_569_1e-4f32.mul_add(r, 1.398_2e-3);
+    let p = p.mul_add(r, 8.333_452e-3);
+    let p = p.mul_add(r, 4.166_579_6e-2);
+    let p = p.mul_add(r, 1.666_666_5e-1);
+    let p = p.mul_add(r, 0.5);
+    let value = (p * r).mul_add(r, r) + 1.0;
     let exponent = (shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127)) << 23;
     if x < -87.0 { 0.0 } else { value * f32::from_bits(exponent) }
 }
@@ -40,11 +56,11 @@ pub fn exp_of_negative(x: f32) -> f32 {
 #[inline(always)]
 pub fn erf(x: f32) -> f32 {
     let z = x.abs();
-    let t = 1.0 / (1.0 + 0.327_591_1 * z);
-    let p = 1.061_405_4 * t - 1.453_152;
-    let p = p * t + 1.421_413_7;
-    let p = p * t - 0.284_496_72;
-    let p = p * t + 0.254_829_6;
+    let t = 1.0 / 0.327_591_1f32.mul_add(z, 1.0);
+    let p = 1.061_405_4f32.mul_add(t, -1.453_152);
+    let p = p.mul_add(t, 1.421_413_7);
+    let p = p.mul_add(t, -0.284_496_72);
+    let p = p.mul_add(t, 0.254_829_6);
     (1.0 - p * t * exp_of_negative(-z * z)).copysign(x)
 }
 
@@ -90,41 +106,9 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     total(lanes) + rest_a.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>()
 }
 
-/// [`dot`] of four slices with one, which is read once.
-#[inline(always)]
-pub fn dots(a: [&[f32]; 4], b: &[f32]) -> [f32; 4] {
-    let (runs_b, rest_b) = b.as_chunks::<16>();
-    let split = a.map(|a| a.as_chunks::<16>());
-    let mut lanes = [[0.0f32; 16]; 4];
-    let runs = split[0].0.iter().zip(split[1].0).zip(split[2].0).zip(split[3].0).zip(runs_b);
-    for ((((p, q), r), s), y) in runs {
-        for l in 0..16 {
-            lanes[0][l] += p[l] * y[l];
-            lanes[1][l] += q[l] * y[l];
-            lanes[2][l] += r[l] * y[l];
-            lanes[3][l] += s[l] * y[l];
-        }
-    }
-    let [a, b, c, d] = lanes;
-    let mut dots = [total(a), total(b), total(c), total(d)];
-    for (dot, (_, rest)) in dots.iter_mut().zip(split) {
-        *dot += rest.iter().zip(rest_b).map(|(x, y)| x * y).sum::<f32>();
-    }
-    dots
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn four_dot_products_at_once_equal_single_ones() {
-        let rows: Vec<Vec<f32>> =
-            (0..5).map(|r| (0..45).map(|i| ((i * 7 + r * 13) % 11) as f32 - 5.0).collect()).collect();
-        let a = [&rows[0][..], &rows[1], &rows[2], &rows[3]];
-        assert_eq!(dots(a, &rows[4]), a.map(|a| dot(a, &rows[4])));
-        assert_eq!(dot(&[1.0, 2.0, 3.0], &[4.0, -5.0, 6.0]), 12.0);
-    }
 
     #[test]
     fn exp_is_accurate() {
@@ -152,7 +136,7 @@ mod tests {
             assert!((erf(x) as f64 - series(x as f64)).abs() < 5e-7, "erf({x})");
         }
         let mut vector = values.clone();
-        vectorised(|| vector.iter_mut().for_each(|x| *x = gelu(*x)));
+        vectorised!(vector.iter_mut().for_each(|x| *x = gelu(*x)));
         for (x, got) in values.iter().zip(&vector) {
             assert!((got - gelu(*x)).abs() <= 1e-7 * x.abs(), "gelu({x})");
         }

@@ -26,7 +26,7 @@ pub fn add_panel(out: &mut [f32], left: &[Vec<f32>], right: &[f32], first: usize
     let mut packed = Block([[0.0f32; PANEL]; PANEL]);
     for (left, right) in left.iter().zip(right.chunks_exact(PANEL * columns)) {
         // As vectors: the weights come from memory, and calls of memcpy in between keep few of the loads in flight.
-        vectorised(|| {
+        vectorised!({
             for (packed, row) in packed.0.iter_mut().zip(right.chunks_exact(columns)) {
                 if let Some(row) = row[first..].first_chunk() {
                     *packed = *row;

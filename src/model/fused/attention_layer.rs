@@ -6,12 +6,11 @@ use rayon::prelude::*;
 
 use super::{
     AttentionMaps, TokenMaps,
-    relative_scores::{Point, head_scores},
     rows::{Map, Tail, columns, transposed},
     self_attention::{exponentials, largest},
     tape::{Values, plain},
 };
-use crate::simd::{add_product, vectorised};
+use crate::simd::{add_product, row_products, vectorised};
 
 /// Rows of queries whose scores are worked on at a time.
 const ROWS: usize = 24;
@@ -125,7 +124,7 @@ impl Layer {
         let padded = m.next_multiple_of(LANES);
         let scale = (d as f32).powf(-0.5);
         let mut queries = self.query.apply(x);
-        vectorised(|| queries.iter_mut().for_each(|q| *q *= scale));
+        vectorised!(queries.iter_mut().for_each(|q| *q *= scale));
         let mut read = vec![0.0f32; queries.len()];
         let mut scores = vec![0.0f32; self.heads * ROWS * padded];
         for (block, (read, queries)) in
@@ -169,7 +168,7 @@ impl Memory {
         let padded = m.next_multiple_of(LANES);
         add_product(scores, queries, &self.keys, self.keys.len() / padded);
         let mut sums = [0.0f32; ROWS];
-        vectorised(|| {
+        vectorised!({
             for (row, sum) in scores.chunks_exact_mut(padded).zip(&mut sums) {
                 let largest = largest(&row[..m]);
                 *sum = exponentials(&mut row[..m], largest);
@@ -190,19 +189,10 @@ fn relative_scores(
     [rows, m, padded]: [usize; 3],
 ) {
     let channels = embedding.len() / (rows * m).max(1);
-    let mut points: Vec<Point> = embedding
-        .chunks_exact((m * channels).max(1))
-        .enumerate()
-        .map(|(r, embedding)| Point {
-            scores: Vec::with_capacity(projected.len()),
-            queries: projected.iter().map(|p| &p[r * channels..][..channels]).collect(),
-            embedding,
-        })
-        .collect();
-    for scores in scores.chunks_exact_mut(rows * padded) {
-        for (point, scores) in points.iter_mut().zip(scores.chunks_exact_mut(padded)) {
-            point.scores.push(&mut scores[..m]);
-        }
+    for (r, embedding) in embedding.chunks_exact((m * channels).max(1)).enumerate() {
+        let mut scores: Vec<&mut [f32]> =
+            scores.chunks_exact_mut(rows * padded).map(|head| &mut head[r * padded..][..m]).collect();
+        let projected: Vec<&[f32]> = projected.iter().map(|p| &p[r * channels..][..channels]).collect();
+        row_products(&mut scores, &projected, embedding);
     }
-    points.chunks_mut(2).for_each(head_scores);
 }

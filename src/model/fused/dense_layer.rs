@@ -102,7 +102,7 @@ impl Layer {
         let mut queries = self.focused(&self.query, x);
         let width = self.query.outputs();
         let d = width / self.heads;
-        vectorised(|| {
+        vectorised!({
             for row in queries.chunks_exact_mut(width) {
                 for (query, keys) in row.chunks_exact_mut(d).zip(context.keys.chunks_exact(d)) {
                     let scale = 1.0 / (dot(query, keys) + self.epsilon);

@@ -24,7 +24,7 @@ pub fn interpolated_embedding(
         let mut rows = vec![0.0f32; n * width];
         let inputs = distances.par_chunks(PAIRS).zip(angles.par_chunks(PAIRS * k));
         rows.par_chunks_mut(PAIRS * width).zip(inputs).for_each(|(rows, (distances, angles))| {
-            vectorised(|| {
+            vectorised!({
                 let pairs = distances.iter().zip(angles.chunks_exact(k));
                 for (row, (&distance, angles)) in rows.chunks_exact_mut(width).zip(pairs) {
                     match *angles {
@@ -45,7 +45,7 @@ pub fn interpolated_embedding(
     let outputs = rows.par_chunks_mut(PAIRS * width).zip(winners.par_chunks_mut(PAIRS * width));
     outputs.zip(distances.par_chunks(PAIRS).zip(angles.par_chunks(PAIRS * k))).for_each(
         |((rows, winners), (distances, angles))| {
-            vectorised(|| {
+            vectorised!({
                 let outputs = rows.chunks_exact_mut(width).zip(winners.chunks_exact_mut(width));
                 for ((row, winners), (&distance, angles)) in
                     outputs.zip(distances.iter().zip(angles.chunks_exact(k)))
@@ -148,7 +148,7 @@ impl Gradient<2> for Embedding {
             .map(|&start| {
                 let columns = COLUMNS.min(width - start);
                 let mut sums = self.entries.map(|entries| vec![0.0f32; entries * columns]);
-                vectorised(|| self.add_columns(&mut sums, output, start, columns));
+                vectorised!(self.add_columns(&mut sums, output, start, columns));
                 sums
             })
             .collect();

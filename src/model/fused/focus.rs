@@ -35,7 +35,7 @@ fn forward(x: &[f32], scale: &[f32], epsilon: f32) -> Vec<f32> {
 pub(super) fn focus_rows(out: &mut [f32], x: &[f32], scale: &[f32], epsilon: f32) {
     let width = scale.len();
     let mut base = vec![0.0f32; width];
-    vectorised(|| {
+    vectorised!({
         for (out, x) in out.chunks_exact_mut(width).zip(x.chunks_exact(width)) {
             let [before, after] = cube(&mut base, out, x, scale, epsilon);
             let ratio = before / after;
@@ -74,7 +74,7 @@ impl Gradient<2> for Focus {
             .map(|(dx, (x, g))| {
                 let mut d_scale = vec![0.0f32; width];
                 let (mut y, mut c) = (vec![0.0f32; width], vec![0.0f32; width]);
-                vectorised(|| {
+                vectorised!({
                     let rows = x.chunks_exact(width).zip(g.chunks_exact(width));
                     for (dx, (x, g)) in dx.chunks_exact_mut(width).zip(rows) {
                         let [before, after] = cube(&mut y, &mut c, x, &self.scale, self.epsilon);

@@ -18,7 +18,7 @@ pub fn linear_gelu(x: &Tensor<3>, map: &Linear) -> Option<Tensor<3>> {
     let (bias, _) = (bias(map)?, Values::of(x)?);
     let mut y = linear(x.clone(), map.weight.val(), None);
     let done = update(&mut y, rows_of(bias.len()), |_, run| {
-        vectorised(|| {
+        vectorised!({
             for row in run.chunks_exact_mut(bias.len()) {
                 row.iter_mut().zip(&*bias).for_each(|(y, b)| *y = simd::gelu(*y + b));
             }
@@ -40,7 +40,7 @@ pub fn linear_onto(
     let mut y = linear(x.clone(), map.weight.val(), None);
     let run = rows_of(width);
     let done = update(&mut y, run, |index, values| {
-        vectorised(|| {
+        vectorised!({
             let residual = residual[index * run..].chunks_exact(width);
             for (row, residual) in values.chunks_exact_mut(width).zip(residual) {
                 for (((y, r), b), g) in row.iter_mut().zip(residual).zip(&*bias).zip(&*gamma) {
@@ -54,7 +54,7 @@ pub fn linear_onto(
 
 /// `gelu(x)` in the place of `x`; false leaves `x` as it is.
 pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> bool {
-    update(x, RUN, |_, run| vectorised(|| run.iter_mut().for_each(|y| *y = simd::gelu(*y))))
+    update(x, RUN, |_, run| vectorised!(run.iter_mut().for_each(|y| *y = simd::gelu(*y))))
 }
 
 /// `gelu(layer_norm(x))` over the last axis in the place of `x`; false leaves `x` as it is.
@@ -62,7 +62,7 @@ pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, e
     let (Some(gamma), Some(beta)) = (Values::of(gamma), Values::of(beta)) else { return false };
     let width = gamma.len();
     update(x, rows_of(width), |_, run| {
-        vectorised(|| {
+        vectorised!({
             for row in run.chunks_exact_mut(width) {
                 let mean = sum(row, |y| y) / width as f32;
                 row.iter_mut().for_each(|y| *y -= mean);

@@ -42,7 +42,7 @@ fn forward(x: &[f32], residual: &[f32], gamma: &[f32], beta: &[f32], epsilon: f3
     let inputs = x.par_chunks(ROWS * width).zip(residual.par_chunks(ROWS * width));
     y.par_chunks_mut(ROWS * width).zip(scales.par_chunks_mut(ROWS)).zip(inputs).for_each(
         |((y, scales), (x, residual))| {
-            vectorised(|| {
+            vectorised!({
                 let inputs = x.chunks_exact(width).zip(residual.chunks_exact(width));
                 for ((y, scale), (x, residual)) in y.chunks_exact_mut(width).zip(scales).zip(inputs) {
                     y.iter_mut().zip(x).zip(residual).for_each(|((y, x), r)| *y = x + r);
@@ -80,7 +80,7 @@ impl Gradient<4> for Norm {
             .map(|((dx, scales), ((x, residual), dy))| {
                 let (mut d_gamma, mut d_beta) = (vec![0.0f32; width], vec![0.0f32; width]);
                 let mut normal = vec![0.0f32; width];
-                vectorised(|| {
+                vectorised!({
                     let inputs = x.chunks_exact(width).zip(residual.chunks_exact(width));
                     let rows = dx.chunks_exact_mut(width).zip(dy.chunks_exact(width)).zip(scales);
                     for (((dx, dy), &scale), (x, residual)) in rows.zip(inputs) {

@@ -59,7 +59,7 @@ impl Gradient<3> for LinearRelu {
             .zip(self.y.par_chunks(BLOCK * columns).zip(output.par_chunks(BLOCK * columns)))
             .map(|((dx, x), (y, dy))| {
                 let mut dz = dy.to_vec();
-                vectorised(|| dz.iter_mut().zip(y).for_each(|(d, y)| *d = if *y <= 0.0 { 0.0 } else { *d }));
+                vectorised!(dz.iter_mut().zip(y).for_each(|(d, y)| *d = if *y <= 0.0 { 0.0 } else { *d }));
                 if let Some(dx) = dx {
                     add_product(dx, &dz, &transposed, columns);
                 }
@@ -80,7 +80,7 @@ pub(super) fn transpose(values: &[f32], columns: usize) -> Vec<f32> {
 
 pub(super) fn column_sums(values: &[f32], columns: usize) -> Vec<f32> {
     let mut sums = vec![0.0; columns];
-    vectorised(|| {
+    vectorised!({
         for row in values.chunks_exact(columns) {
             sums.iter_mut().zip(row).for_each(|(s, v)| *s += v);
         }

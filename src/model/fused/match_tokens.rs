@@ -41,7 +41,7 @@ pub fn tokens(
     tasks.into_par_iter().for_each(|(first, out)| {
         map.write(out, &x[first * inner..][..out.len() / width * inner]);
         if let Some(extra) = &extra {
-            vectorised(|| out.iter_mut().zip(&extra[first * width..]).for_each(|(o, e)| *o += e));
+            vectorised!(out.iter_mut().zip(&extra[first * width..]).for_each(|(o, e)| *o += e));
         }
     });
     Some(plain(out, [batch, 1 + n, width]))
@@ -88,7 +88,7 @@ fn unit_rows(x: &[f32], map: &Map, factor: f32) -> Vec<f32> {
     let mut y = vec![0.0f32; x.len() / map.inputs() * width];
     y.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * map.inputs())).for_each(|(y, x)| {
         map.write(y, x);
-        vectorised(|| {
+        vectorised!({
             for row in y.chunks_exact_mut(width) {
                 let scale = factor / sum(row, |y| y * y).sqrt().max(1e-12);
                 row.iter_mut().for_each(|y| *y *= scale);

@@ -58,7 +58,7 @@ pub fn normalised(x: &[f32], norm: &Norm) -> Option<Vec<Vec<f32>>> {
     let width = norm.width();
     let mut moments = vec![[0.0f32; 2]; x.len() / width];
     moments.par_chunks_mut(ROWS).zip(x.par_chunks(ROWS * width)).for_each(|(moments, x)| {
-        vectorised(|| moments.iter_mut().zip(x.chunks_exact(width)).for_each(|(m, x)| *m = norm.moments(x)));
+        vectorised!(moments.iter_mut().zip(x.chunks_exact(width)).for_each(|(m, x)| *m = norm.moments(x)));
     });
     let panels = (0..width).into_par_iter().step_by(PANEL).map(|first| norm.panel(x, &moments, first));
     width.is_multiple_of(PANEL).then(|| panels.collect())
@@ -70,7 +70,7 @@ pub fn onto(x: &[f32], panels: &[Vec<f32>], gamma: &[f32]) -> Vec<f32> {
     let mut sum = vec![0.0f32; x.len()];
     sum.par_chunks_mut(ROWS * width).zip(x.par_chunks(ROWS * width)).enumerate().for_each(
         |(task, (sum, x))| {
-            vectorised(|| {
+            vectorised!({
                 let rows = sum.chunks_exact_mut(width).zip(x.chunks_exact(width));
                 for (row, (sum, x)) in (task * ROWS..).zip(rows) {
                     let channels = sum.chunks_exact_mut(PANEL).zip(x.chunks_exact(PANEL));
@@ -102,7 +102,7 @@ pub fn sampled_linear(
     let mut out = vec![0.0f32; rows.len() / 4 * width];
     let taps = rows.par_chunks_exact(4).zip(weights.par_chunks_exact(4));
     out.par_chunks_exact_mut(width).zip(taps).with_min_len(ROWS).for_each(|(out, (rows, weights))| {
-        vectorised(|| {
+        vectorised!({
             for (&row, &weight) in rows.iter().zip(weights) {
                 let (row, cell) = (row as usize / cells, row as usize % cells);
                 let panels = &panels[cell * width / PANEL..];

@@ -57,7 +57,7 @@ fn forward(x: &[f32], weight: &[f32], shift: &[f32], inner: usize, group: usize)
                 let rows = maxima.chunks_exact_mut(columns).zip(winners.chunks_exact_mut(columns));
                 for (g, ((maxima, winners), y)) in rows.zip(y.chunks_exact(group * columns)).enumerate() {
                     let first = ((task * per_task + g) * group) as u32;
-                    vectorised(|| largest_with_row(maxima, winners, y, first));
+                    vectorised!(largest_with_row(maxima, winners, y, first));
                 }
             },
         );
@@ -104,7 +104,7 @@ impl Gradient<3> for LinearReluMax {
             .map(|(task, ((dx, (y, dy)), winners))| {
                 let first = task * per_task * group;
                 let (mut dw, mut ds) = (vec![0.0; columns * inner], vec![0.0; columns]);
-                vectorised(|| {
+                vectorised!({
                     for (i, ((&y, &dy), &winner)) in y.iter().zip(dy).zip(winners).enumerate() {
                         if y <= 0.0 || dy == 0.0 {
                             continue;
@@ -159,7 +159,7 @@ pub fn shared_layers_max(
                     width = shift.len();
                 }
                 let y = hidden.last().map_or(&[][..], |y| &y[..rows * columns]);
-                vectorised(|| {
+                vectorised!({
                     for y in y.chunks_exact(columns) {
                         maxima.iter_mut().zip(y).for_each(|(m, &y)| *m = if y <= *m { *m } else { y });
                     }

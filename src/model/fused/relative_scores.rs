@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 use rayon::prelude::*;
 
 use super::tape::{Gradient, Input, Values, plain, record};
-use crate::simd::{dot, dots, vectorised};
+use crate::simd::{row_products, vectorised};
 
 pub fn relative_scores(projected: &Tensor<4>, embedding: &Tensor<4>) -> Option<Tensor<4>> {
     let [batch, heads, n, width] = projected.dims();
@@ -48,53 +48,13 @@ impl Sizes {
     fn scores(&self, projected: &[f32], embedding: &[f32]) -> Vec<f32> {
         let Self { m, width, .. } = *self;
         let mut scores = vec![0.0f32; projected.len() / width.max(1) * m];
-        let mut points: Vec<Point> = self
-            .by_point(&mut scores, m)
-            .into_iter()
-            .zip(embedding.chunks_exact((m * width).max(1)))
-            .enumerate()
-            .map(|(point, (scores, embedding))| Point {
-                scores,
-                queries: self.heads_of(projected, width, point),
-                embedding,
-            })
-            .collect();
-        points.par_chunks_mut(2).for_each(head_scores);
+        let rows =
+            self.by_point(&mut scores, m).into_par_iter().zip(embedding.par_chunks_exact((m * width).max(1)));
+        rows.enumerate().for_each(|(point, (mut scores, embedding))| {
+            row_products(&mut scores, &self.heads_of(projected, width, point), embedding);
+        });
         scores
     }
-}
-
-/// A point's scores per head `[M]`, its query per head `[C]`, and its rows `[M, C]` of the embedding.
-pub(super) struct Point<'a, 'b> {
-    pub scores: Vec<&'a mut [f32]>,
-    pub queries: Vec<&'b [f32]>,
-    pub embedding: &'b [f32],
-}
-
-/// Products of the points' queries with their rows of the embedding. Two points at a time are faster than one after the
-/// other: while one waits for the next page of memory, the other goes on.
-pub(super) fn head_scores(points: &mut [Point]) {
-    let (heads, m) =
-        points.first().map_or((0, 0), |p| (p.scores.len(), p.scores.first().map_or(0, |s| s.len())));
-    vectorised(|| {
-        for head in (0..heads).step_by(4) {
-            for i in 0..m {
-                for Point { scores, queries, embedding } in &mut *points {
-                    let width = embedding.len() / m;
-                    let e = &embedding[i * width..][..width];
-                    let end = heads.min(head + 4);
-                    if let (Some([a, b, c, d]), Some(queries)) =
-                        (scores[head..end].first_chunk_mut(), queries[head..end].first_chunk())
-                    {
-                        [a[i], b[i], c[i], d[i]] = dots(*queries, e);
-                    } else {
-                        let rows = scores[head..end].iter_mut().zip(&queries[head..end]);
-                        rows.for_each(|(scores, query)| scores[i] = dot(query, e));
-                    }
-                }
-            }
-        }
-    });
 }
 
 #[derive(Clone, Debug)]
@@ -117,7 +77,7 @@ impl Gradient<2> for Scores {
             |(point, ((rows, block), embedding))| {
                 let gradients = self.sizes.heads_of(output, m, point);
                 let queries = self.sizes.heads_of(&self.projected, width, point);
-                vectorised(|| {
+                vectorised!({
                     for ((row, query), gradient) in rows.iter_mut().zip(queries).zip(gradients) {
                         for (e, &g) in embedding.chunks_exact(width).zip(gradient) {
                             row.iter_mut().zip(e).for_each(|(d, e)| *d += g * e);

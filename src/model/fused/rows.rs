@@ -85,7 +85,7 @@ impl Norm {
     pub fn apply(&self, x: &mut [f32], residual: &[f32]) {
         let width = self.width();
         let (gamma, beta): (&[f32], &[f32]) = (&self.gamma, &self.beta);
-        vectorised(|| {
+        vectorised!({
             for (x, residual) in x.chunks_exact_mut(width).zip(residual.chunks_exact(width)) {
                 x.iter_mut().zip(residual).for_each(|(x, r)| *x += r);
                 let [mean, scale] = self.moments(x);
@@ -107,7 +107,7 @@ impl Norm {
     pub fn panel(&self, x: &[f32], moments: &[[f32; 2]], first: usize) -> Vec<f32> {
         let [gamma, beta] = [&self.gamma, &self.beta].map(|values| &values[first..][..PANEL]);
         let mut panel = vec![0.0f32; moments.len() * PANEL];
-        vectorised(|| {
+        vectorised!({
             let rows = panel.chunks_exact_mut(PANEL).zip(x.chunks_exact(self.width())).zip(moments);
             for ((y, x), [mean, scale]) in rows {
                 let channels = x[first..].iter().zip(gamma).zip(beta);

@@ -88,7 +88,7 @@ impl Bias {
         let Self::Axes { rows: by_row, columns: by_column, height, width } = self else { return Vec::new() };
         let (h, w, d) = (*height, *width, rows.d);
         let mut products = vec![0.0f32; rows.counts[0] * (h + w)];
-        vectorised(|| {
+        vectorised!({
             for (t, (out, query)) in products.chunks_exact_mut(h + w).zip(rows.part(0)).enumerate() {
                 let of_row = by_row[t / w * h * d..][..h * d].chunks_exact(d);
                 let of_column = by_column[t % w * w * d..][..w * d].chunks_exact(d);
@@ -153,7 +153,7 @@ pub(super) fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
         for (block, keys) in keys.chunks_exact(d * columns).enumerate() {
             let scores = &mut scores[of_block(block)];
             scores.fill(0.0);
-            vectorised(|| {
+            vectorised!({
                 for (r, row) in scores.chunks_exact_mut(columns).enumerate() {
                     let row = &mut row[..present(block)];
                     bias.start(row, &products, head, chunk * ROWS + r, block * columns);
@@ -162,13 +162,16 @@ pub(super) fn head(rows: &Rows, head: usize, bias: &Bias) -> Vec<f32> {
             add_product(scores, queries, keys, d);
         }
         let mut sums = [0.0f32; ROWS];
-        vectorised(|| {
+        vectorised!({
             for (r, sum) in sums[..count].iter_mut().enumerate() {
                 let row = |block: usize| (block * ROWS + r) * columns..;
-                let largest = (0..blocks)
-                    .map(|b| largest(&scores[row(b)][..present(b)]))
-                    .fold(f32::NEG_INFINITY, f32::max);
-                *sum = (0..blocks).map(|b| exponentials(&mut scores[row(b)][..present(b)], largest)).sum();
+                let mut top = f32::NEG_INFINITY;
+                for block in 0..blocks {
+                    top = top.max(largest(&scores[row(block)][..present(block)]));
+                }
+                for block in 0..blocks {
+                    *sum += exponentials(&mut scores[row(block)][..present(block)], top);
+                }
             }
         });
         for (block, values) in values.chunks_exact(columns * d).enumerate() {

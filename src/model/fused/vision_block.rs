@@ -67,7 +67,7 @@ fn block(maps: &VisionMaps, x: &Tensor<3>, wanted: &[usize]) -> Option<Vec<f32>>
     let x = onto(if all { &x } else { &chosen }, &attended, &scale1);
 
     let normed = normalised(&x, &norm2?)?;
-    let activated = |panel: &mut [f32]| vectorised(|| panel.iter_mut().for_each(|y| *y = gelu(*y)));
+    let activated = |panel: &mut [f32]| vectorised!(panel.iter_mut().for_each(|y| *y = gelu(*y)));
     let hidden = mapped(&normed, &fc1?, activated)?;
     let output = mapped(&hidden, &fc2?, |_| {})?;
     Some(onto(&x, &output, &scale2))

@@ -86,7 +86,7 @@ impl Upscaling {
             }
         }
         let mut out = vec![0.0f32; width * height];
-        vectorised(|| {
+        vectorised!({
             for (out, taps) in out.chunks_exact_mut(width).zip(&self.rows.0) {
                 for &(row, weight) in taps {
                     let row = &wide[row * width..][..width];
