@@ -7,7 +7,7 @@ use super::{
     rows::{Map, transposed},
     tape::{Values, plain},
 };
-use crate::simd::{add_product, sum, vectorised};
+use crate::simd::{map_rows, sum, vectorised};
 
 /// Rows per task.
 const ROWS: usize = 96;
@@ -70,8 +70,7 @@ pub fn cosines(a: &Tensor<3>, b: &Tensor<3>, map: &Linear, factor: f32) -> Optio
             for (block, columns) in blocks.iter().enumerate() {
                 let padded = columns.len() / width;
                 let products = &mut products[..rows.len() / width * padded];
-                products.fill(0.0);
-                add_product(products, rows, columns, width);
+                map_rows(products, rows, columns, &[0.0; COLUMNS][..padded], false);
                 let (first, count) = (block * COLUMNS, padded.min(m - block * COLUMNS));
                 for (out, products) in out.chunks_exact_mut(m).zip(products.chunks_exact(padded)) {
                     out[first..first + count].copy_from_slice(&products[..count]);
