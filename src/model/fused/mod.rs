@@ -36,6 +36,8 @@ mod rows;
 #[cfg(feature = "flex")]
 mod self_attention;
 #[cfg(feature = "flex")]
+mod softmax_attention;
+#[cfg(feature = "flex")]
 mod tape;
 #[cfg(test)]
 mod tests;
@@ -187,12 +189,8 @@ pub fn self_attention(qkv: Tensor<3>, heads: usize) -> Tensor<3> {
 
 /// Query, key and value `[B, H, T, d]` from joint projections `[B, T, 3 C]`.
 fn of_heads(qkv: Tensor<3>, heads: usize) -> [Tensor<4>; 3] {
-    let [batch, tokens, joint] = qkv.dims();
-    let width = joint / 3;
-    std::array::from_fn(|index| {
-        let part = qkv.clone().narrow(2, index * width, width);
-        part.reshape([batch, tokens, heads, width / heads]).swap_dims(1, 2)
-    })
+    let width = qkv.dims()[2] / 3;
+    std::array::from_fn(|index| split_heads(qkv.clone().narrow(2, index * width, width), heads))
 }
 
 /// What is added to the scores of self attention before the softmax.
@@ -253,6 +251,37 @@ pub fn relative_scores(projected: Tensor<4>, embedding: Tensor<4>) -> Tensor<4> 
         .matmul(projected.permute([0, 2, 3, 1]).reshape([batch * n, width, heads])) // [B N, M, H]
         .reshape([batch, n, m, heads])
         .permute([0, 3, 1, 2])
+}
+
+/// `softmax(q k^T + position) v` in each head: queries `[B, N, C]`, already scaled, keys and values `[B, M, C]`, `position`
+/// `[B, H, N, M]`; `[B, N, C]`.
+pub fn softmax_attention(
+    queries: Tensor<3>,
+    keys: Tensor<3>,
+    values: Tensor<3>,
+    position: Option<Tensor<4>>,
+    heads: usize,
+) -> Tensor<3> {
+    #[cfg(feature = "flex")]
+    if let Some(y) =
+        softmax_attention::softmax_attention([&queries, &keys, &values], position.as_ref(), heads)
+    {
+        return y;
+    }
+    let shape = queries.dims();
+    let [q, k, v] = [queries, keys, values].map(|x| split_heads(x, heads));
+    let scores = q.matmul(k.swap_dims(2, 3));
+    let scores = match position {
+        Some(position) => scores + position,
+        None => scores,
+    };
+    activation::softmax(scores, 3).matmul(v).swap_dims(1, 2).reshape(shape)
+}
+
+/// `[B, N, C] -> [B, H, N, C / H]`.
+pub fn split_heads(x: Tensor<3>, heads: usize) -> Tensor<4> {
+    let [batch, n, width] = x.dims();
+    x.reshape([batch, n, heads, width / heads]).swap_dims(1, 2)
 }
 
 /// `norm(x + residual)` over the channels, `[B, N, C]`. `epsilon` is the norm's own, which keeps it to itself.

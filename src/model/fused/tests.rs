@@ -265,6 +265,47 @@ fn self_attention_equals_its_plain_form() {
     }
 }
 
+#[test]
+fn softmax_attention_equals_its_plain_form() {
+    let device = Device::default();
+    for (n, m, heads, d, with_position) in [(19, 33, 2, 16, true), (5, 16, 3, 32, false), (7, 6, 2, 5, true)]
+    {
+        let width = heads * d;
+        let inputs =
+            [random([2, n, width], &device), random([2, m, width], &device), random([2, m, width], &device)];
+        let position = random::<4>([2, heads, n, m], &device) * 3.0;
+        let plain = |[q, k, v]: [Tensor<3>; 3], position: Tensor<4>| {
+            let [q, k, v] = [q, k, v].map(|x| split_heads(x, heads));
+            let scores = q.matmul(k.swap_dims(2, 3));
+            let scores = if with_position { scores + position } else { scores };
+            activation::softmax(scores, 3).matmul(v).swap_dims(1, 2).reshape([2, n, width])
+        };
+        let fused = |[q, k, v]: [Tensor<3>; 3], position: Tensor<4>| {
+            softmax_attention(q, k, v, with_position.then_some(position), heads)
+        };
+        let off_tape = fused(inputs.clone(), position.clone());
+        let results = [&plain as &dyn Fn([Tensor<3>; 3], Tensor<4>) -> Tensor<3>, &fused].map(|f| {
+            let inputs = inputs.clone().map(|x| x.autodiff().require_grad());
+            let position = position.clone().autodiff().require_grad();
+            let y = f(inputs.clone(), position.clone());
+            let probe = (y.clone().inner() * 3.7).cos();
+            let grads = (y.clone() * probe).sum().backward();
+            (y.inner(), inputs.map(|x| x.grad(&grads).unwrap()), position.grad(&grads))
+        });
+        let [(expected, expected_grads, expected_position), (got, grads, position)] = results;
+        close(off_tape, expected.clone(), 1e-5, "off the tape");
+        close(got, expected, 1e-5, "value");
+        for (got, (expected, what)) in grads.into_iter().zip(expected_grads.into_iter().zip(["q", "k", "v"]))
+        {
+            close(got, expected, 1e-4, what);
+        }
+        assert_eq!(position.is_some(), with_position);
+        if let (Some(got), Some(expected)) = (position, expected_position) {
+            close(got, expected, 1e-4, "position");
+        }
+    }
+}
+
 fn numbers<const D: usize>(x: &Tensor<D>) -> Vec<f32> {
     x.to_data().try_to_vec().unwrap()
 }
