@@ -83,6 +83,9 @@ fn ball_of(columns: &Columns, centre: [f32; 3], squared_radius: f32, row: &mut [
     let mut count = 0;
     vectorised!({
         for run in 0..columns.runs() {
+            if count == row.len() {
+                break;
+            }
             let distances = columns.squared_distances(centre, run);
             let mut any = false;
             for d in distances {
