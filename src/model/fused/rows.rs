@@ -1,6 +1,7 @@
 //! What a transformer layer does to each of its tokens, on a few rows that stay in the nearest caches meanwhile.
 
 use burn::nn::{LayerNorm, Linear};
+use rayon::prelude::*;
 
 use super::{TokenMaps, tape::Values};
 use crate::simd::{PANEL, map_rows, sum, vectorised};
@@ -159,6 +160,22 @@ pub(super) fn columns(rows: &[f32], of: usize, first: usize, width: usize) -> Ve
         part.copy_from_slice(&row[first..first + width]);
     }
     part
+}
+
+/// What each head of each item has for its tokens, `[T, d]` each, side by side: `[B, T, H d]`. `d` channels of the first
+/// `tokens` rows are taken.
+pub(super) fn merged_heads(parts: &[Vec<f32>], heads: usize, tokens: usize, d: usize) -> Vec<f32> {
+    let mut out = vec![0.0f32; parts.len() * tokens * d];
+    out.par_chunks_exact_mut((tokens * heads * d).max(1)).zip(parts.par_chunks(heads)).for_each(
+        |(out, parts)| {
+            for (t, row) in out.chunks_exact_mut(heads * d).enumerate() {
+                for (out, part) in row.chunks_exact_mut(d).zip(parts) {
+                    out.copy_from_slice(&part[t * d..][..d]);
+                }
+            }
+        },
+    );
+    out
 }
 
 /// `[R, C] -> [C, R]`.

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{
     PositionBias,
-    rows::transposed,
+    rows::{merged_heads, transposed},
     tape::{Values, plain},
 };
 use crate::simd::{add_product, dot, exp_of_negative, vectorised};
@@ -25,7 +25,6 @@ pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>)
         None => Bias::None,
         Some(bias) => Bias::of(bias)?,
     };
-    let mut out = vec![0.0f32; batch * tokens * width];
     let read: Vec<Vec<f32>> = (0..batch * heads)
         .into_par_iter()
         .map(|item| {
@@ -36,14 +35,7 @@ pub fn self_attention(qkv: &Tensor<3>, heads: usize, bias: Option<PositionBias>)
             head(&rows, item % heads, &bias)
         })
         .collect();
-    out.par_chunks_exact_mut((tokens * width).max(1)).zip(read.par_chunks(heads)).for_each(|(out, read)| {
-        for (t, row) in out.chunks_exact_mut(width).enumerate() {
-            for (part, read) in row.chunks_exact_mut(width / heads).zip(read) {
-                part.copy_from_slice(&read[t * part.len()..][..part.len()]);
-            }
-        }
-    });
-    Some(plain(out, [batch, tokens, width]))
+    Some(plain(merged_heads(&read, heads, tokens, width / heads), [batch, tokens, width]))
 }
 
 /// Query, key and value of an image's tokens in a head: row `t` of each lies at `t * stride`.

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 use rayon::prelude::*;
 
 use super::{
-    rows::{columns, transposed},
+    rows::{columns, merged_heads, transposed},
     self_attention::{exponentials, largest},
     tape::{Gradient, Input, Values, plain, record},
 };
@@ -35,17 +35,13 @@ pub fn softmax_attention(
     };
     let values = [&*inputs[0].values, &*inputs[1].values, &*inputs[2].values];
     let (read, weights) = sizes.forward(values, position.as_ref().map(|position| &*position.values));
+    let attention = |q, k, v| Attention { q, k, v, weights, sizes };
+    let shape = [batch, n, width];
     match position {
-        None => record(inputs, read, [batch, n, width], |[q, k, v], _| Attention { q, k, v, weights, sizes }),
+        None => record(inputs, read, shape, |[q, k, v], _| attention(q, k, v)),
         Some(position) => {
             let [q, k, v] = inputs;
-            record([q, k, v, position], read, [batch, n, width], |[q, k, v, _], _| Attention {
-                q,
-                k,
-                v,
-                weights,
-                sizes,
-            })
+            record([q, k, v, position], read, shape, |[q, k, v, _], _| attention(q, k, v))
         }
     }
 }
@@ -77,18 +73,7 @@ impl Sizes {
 
     /// [`Self::of_head`] of all items back to `[B, rows, C]`, without what is padded.
     fn merged(&self, parts: &[Vec<f32>], rows: usize) -> Vec<f32> {
-        let Self { heads, d, .. } = *self;
-        let mut out = vec![0.0f32; self.batch * rows * heads * d];
-        out.par_chunks_exact_mut((rows * heads * d).max(1)).zip(parts.par_chunks(heads)).for_each(
-            |(out, parts)| {
-                for (row, out) in out.chunks_exact_mut(heads * d).enumerate() {
-                    for (out, part) in out.chunks_exact_mut(d).zip(parts) {
-                        out.copy_from_slice(&part[row * d..][..d]);
-                    }
-                }
-            },
-        );
-        out
+        merged_heads(parts, self.heads, rows, self.d)
     }
 
     /// What queries read `[B, N, C]`, and the weights with which they read `[B H, N, padded]`.
