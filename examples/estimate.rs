@@ -2,12 +2,10 @@
 //!
 //! The views are made here, of a painted figure of four ellipsoids, so that the true pose is known.
 
-use nalgebra::{Rotation3, Vector3};
 use unopose::{
-    device::DeviceChoice,
-    frame::{DepthMap, Mask, RgbdFrame},
-    geometry::{Intrinsics, Pose},
-    infer::{PoseEstimator, Refinement},
+    DepthMap, DeviceChoice, Intrinsics, Mask, Pose, PoseEstimator, Refinement, RgbdFrame,
+    image::{Rgb, RgbImage},
+    nalgebra::{Rotation3, Vector3},
 };
 
 /// Centre and half axes of the figure's parts, metres.
@@ -51,7 +49,7 @@ fn pose(turn: [f64; 3], translation: [f64; 3]) -> Pose {
 fn view(t_camera_object: &Pose) -> (RgbdFrame, Mask) {
     let intrinsics = Intrinsics { fx: 600.0, fy: 600.0, cx: 319.5, cy: 239.5 };
     let (width, height) = (640, 480);
-    let mut rgb = image::RgbImage::from_pixel(width, height, image::Rgb([90, 90, 90]));
+    let mut rgb = RgbImage::from_pixel(width, height, Rgb([90, 90, 90]));
     let (mut depth, mut mask) = (DepthMap::zeros(width, height), Mask::empty(width, height));
     let t_object_camera = t_camera_object.inverse();
     for (index, (col, row)) in (0..height).flat_map(|row| (0..width).map(move |col| (col, row))).enumerate() {
@@ -69,7 +67,7 @@ fn view(t_camera_object: &Pose) -> (RgbdFrame, Mask) {
             mask.data[index] = true;
             let p = t_object_camera.translation + direction * z;
             let wave = |v: f64| (127.0 + 110.0 * (v * 120.0 + part as f64).sin()) as u8;
-            rgb.put_pixel(col, row, image::Rgb([wave(p.x), wave(p.y + 0.5 * p.x), wave(p.z)]));
+            rgb.put_pixel(col, row, Rgb([wave(p.x), wave(p.y + 0.5 * p.x), wave(p.z)]));
         }
     }
     (RgbdFrame { rgb, depth, intrinsics }, mask)

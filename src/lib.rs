@@ -1,15 +1,12 @@
-//! One-reference 6-DoF pose estimation of unseen objects (UNOPose, CVPR 2025): training and inference.
+//! One-reference 6-DoF pose estimation of unseen objects (UNOPose, CVPR 2025).
 //!
-//! One RGB-D view of an object with a mask is the reference; [`infer::PoseEstimator`] finds the pose of the same object
-//! in other views. Rooms, and the direction of the data through them, are in `docs/architecture.md`.
+//! One RGB-D view of an object with a mask is the reference; [`PoseEstimator`] finds the pose of the same object in other
+//! views. No CAD model, no known pose. Everything is in metres, in camera frames with x to the right, y down and z forward.
 //!
 //! ```no_run
-//! use unopose::{
-//!     device::DeviceChoice,
-//!     infer::{PoseEstimator, ViewFiles},
-//! };
+//! use unopose::{DeviceChoice, PoseEstimator, Refinement, ViewFiles};
 //!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # fn main() -> Result<(), unopose::Error> {
 //! let view = |name: &str| ViewFiles {
 //!     rgb: format!("{name}/rgb.png").into(),
 //!     depth: format!("{name}/depth.png").into(),
@@ -18,7 +15,8 @@
 //! };
 //! let (reference, query) = (view("reference").read()?, view("query").read()?);
 //!
-//! let estimator = PoseEstimator::load_default(DeviceChoice::Auto)?;
+//! let estimator = PoseEstimator::load_default(DeviceChoice::Auto)?.with_refinement(Refinement::Icp);
+//! // Once per object, for any number of queries.
 //! let reference = estimator.reference(&reference.frame, &reference.masks[0])?;
 //! for estimate in estimator.estimate(&reference, &query.frame, &query.masks) {
 //!     let estimate = estimate?;
@@ -27,27 +25,18 @@
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! The names below are the stable surface. The crates that they come from (`unopose-core`, `unopose-infer` and so on) hold
+//! everything else, training and benchmarks included, and change with every version; `docs/architecture.md` draws them.
 
-pub mod analysis;
-pub mod bench;
-pub mod checkpoint;
-pub mod config;
-pub mod data;
-pub mod device;
-pub mod eval;
-pub mod formats;
-pub mod frame;
-pub mod geometry;
-pub mod infer;
-pub mod loss;
-pub mod mesh;
-pub mod model;
-pub mod protocol;
-pub mod registration;
-pub mod render;
-pub mod report;
-pub mod segment;
-pub mod simd;
-pub mod synth;
-pub mod train;
-pub mod verify;
+pub use unopose_core::{
+    frame::{DepthMap, Mask, RgbdFrame},
+    geometry::{Intrinsics, Pose},
+};
+pub use unopose_infer::{
+    Confidence, Estimate, InferError as Error, PoseEstimator, Reference, Refinement, View, ViewFiles,
+};
+pub use unopose_nn::device::DeviceChoice;
+// Types of these crates are part of the surface: colour images and matrices.
+pub use image;
+pub use nalgebra;

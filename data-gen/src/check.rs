@@ -4,7 +4,7 @@ use std::{io::Write, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
-use unopose::synth::{self, CheckReport};
+use unopose_synth::CheckReport;
 
 /// Checks a MegaPose or BOP folder: damaged or missing files, masks against visibility, poses against masks and depth
 /// (by drawing the models), units, duplicate keys, index files and target lists.
@@ -32,7 +32,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
-    let report = synth::check_dataset(&arguments.dir, arguments.every, &progress)?;
+    let report = unopose_synth::check_dataset(&arguments.dir, arguments.every, &progress)?;
     bar.finish_and_clear();
     match print(arguments, &report) {
         // The reader may close the pipe early.

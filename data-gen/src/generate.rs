@@ -9,11 +9,9 @@ use std::{
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use unopose::{
-    config::{Config, SynthCameraConfig, SynthConfig},
-    formats::{BopDataset, megapose::ShardDataset},
-    synth::{self, Progress, Stage},
-};
+use unopose_core::config::{Config, SynthCameraConfig, SynthConfig};
+use unopose_dataset::formats::{BopDataset, megapose::ShardDataset};
+use unopose_synth::{Progress, Stage};
 
 #[derive(clap::Args)]
 #[group(id = "generate")]
@@ -126,15 +124,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let config = configuration(arguments)?;
     if arguments.overwrite {
-        synth::remove_generated(&arguments.out)?;
+        unopose_synth::remove_generated(&arguments.out)?;
     }
     let started = std::time::Instant::now();
     let bar = Bar::default();
     let report = |progress: Progress| bar.show(progress);
     let summary = match arguments.shards.clone() {
-        _ if arguments.format == Format::Bop => synth::generate_bop(&config, &arguments.out, &report),
-        Some(shards) => synth::generate_shards(&config, &arguments.out, shards, &report),
-        None => synth::generate(&config, &arguments.out, &report),
+        _ if arguments.format == Format::Bop => unopose_synth::generate_bop(&config, &arguments.out, &report),
+        Some(shards) => unopose_synth::generate_shards(&config, &arguments.out, shards, &report),
+        None => unopose_synth::generate(&config, &arguments.out, &report),
     }?;
     let seconds = started.elapsed().as_secs_f64();
     let rate = summary.images_written as f64 / seconds.max(1e-9);
@@ -163,14 +161,14 @@ fn draw_samples(arguments: &Arguments, file: &Path) -> Result<()> {
     if arguments.format == Format::Megapose {
         let dataset = ShardDataset::open(&arguments.out)?;
         let load = |i: usize| dataset.load(i as u32);
-        return Ok(synth::contact_sheet(dataset.image_keys().len(), &load, file, SHAPE)?);
+        return Ok(unopose_synth::contact_sheet(dataset.image_keys().len(), &load, file, SHAPE)?);
     }
     let split = BopDataset::open(&arguments.out)?.test_split()?;
     let mut images = Vec::new();
     for &scene in split.scene_ids() {
         images.extend(split.scene(scene)?.image_ids().map(|image| (scene, image)));
     }
-    Ok(synth::contact_sheet(images.len(), &|i| split.load(images[i].0, images[i].1), file, SHAPE)?)
+    Ok(unopose_synth::contact_sheet(images.len(), &|i| split.load(images[i].0, images[i].1), file, SHAPE)?)
 }
 
 /// One progress bar per stage, fed from several threads.

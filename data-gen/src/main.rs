@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
-use unopose::report::explain;
+use unopose_core::explain;
 
 /// Makes synthetic RGB-D images of procedural objects (or of your meshes) in clutter, with exact poses and masks.
 ///

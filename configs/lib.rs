@@ -1,0 +1,8 @@
+//! The configurations of this folder as text, so that a binary needs no file beside it.
+
+/// Every configuration by name.
+pub const ALL: [(&str, &str); 3] = [
+    ("geo", include_str!("geo.toml")),
+    ("unopose", include_str!("unopose.toml")),
+    ("smoke", include_str!("smoke.toml")),
+];

@@ -1,0 +1,61 @@
+//! `unoinfer analyse`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability};
+use unopose_dataset::protocol::{TargetFiles, TargetList};
+use unopose_infer::RightPose;
+
+use super::{calibrate::describe, options::EstimatorOptions, progress::Progress};
+
+#[derive(Args)]
+pub struct AnalyseArguments {
+    /// BOP dataset folder
+    #[arg(long, value_name = "DIR")]
+    dataset: PathBuf,
+    /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id
+    #[arg(long, value_name = "JSON")]
+    targets: PathBuf,
+    /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "JSON")]
+    detections: PathBuf,
+    /// Folder for findings.md, pairs.json and, with a calibration, reliability.svg and risk.svg
+    #[arg(long, value_name = "DIR", default_value = "analysis")]
+    out: PathBuf,
+    /// Split of the targets [default: test, or the first that begins so]
+    #[arg(long)]
+    split: Option<String>,
+    /// Split of the reference views [default: that of the targets]
+    #[arg(long)]
+    reference_split: Option<String>,
+    /// Only the first N entries of the target list
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    #[command(flatten)]
+    estimator: EstimatorOptions,
+}
+
+pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
+    let list = TargetList::open(&TargetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: arguments.reference_split.clone(),
+        targets: arguments.targets.clone(),
+        detections: arguments.detections.clone(),
+        limit: arguments.limit,
+    })?;
+    let estimator = arguments.estimator.estimator()?;
+    let progress = Progress::new("analysing");
+    let right = estimator.calibration().map_or(RightPose::DEFAULT, |calibration| calibration.right);
+    let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
+    progress.finish();
+    let title = format!("{} on {}", estimator.source(), list.dataset.name());
+    print!("{}", write_findings(&records, &title, &arguments.out)?);
+    if let Some(calibration) = estimator.calibration() {
+        let reliability = write_reliability(&judged(&records, calibration), &arguments.out)?;
+        println!("\nconfidence: {}", describe(&reliability));
+    }
+    println!("\n{}", arguments.out.join("findings.md").display());
+    Ok(())
+}

@@ -1,0 +1,298 @@
+//! `unoinfer bench`.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::Mutex,
+};
+
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+use unopose_bench::{
+    INGREDIENTS, ListRequest, Method, Network, OwnMasks, PreparedList, Segmentation, Suite, run_sequence,
+    sequence_table,
+};
+use unopose_dataset::{
+    formats::{BopDataset, PhoneSequence},
+    protocol::{Protocol, REFERENCE_COUNTS},
+};
+use unopose_infer::{PoseEstimator, Refinement};
+use unopose_nn::device::DeviceChoice;
+use unopose_pairs::registration::{CLASSICAL_METHODS, classical_method};
+use unopose_segment::{AnyMatcher, Matcher, ProposalGenerator};
+
+use super::{
+    progress::Progress,
+    proposals::{EMBEDDED, check_sam_points, generator},
+    segment_dataset::{DatasetFiles, segment_dataset},
+};
+
+/// Name of the network among the methods.
+const NETWORK: &str = "unopose";
+
+/// Which view is the reference of which target.
+#[derive(Clone, Copy, ValueEnum)]
+enum ProtocolName {
+    /// A view at most 50 degrees away (the main experiment)
+    Rot50,
+    /// At most 50 degrees away, from another scene
+    CrossScene,
+    /// Up to 90 degrees away in nine bins, with the overlap ratio
+    RotationBins,
+    /// One view for all targets of an object
+    OnePerObject,
+    /// The nearest of 8, 12, 16, 32 and 42 views per object (--counts), one table each
+    References,
+    /// As rot50, with the reference images rendered from the models
+    Rendered,
+    /// A phone sequence (WildRGB-D layout) as --dataset: one frame is the reference of the others
+    Sequence,
+}
+
+#[derive(Args)]
+pub struct BenchArguments {
+    /// Protocol
+    #[arg(value_enum, default_value = "rot50")]
+    protocol: ProtocolName,
+    /// BOP dataset folder, or the folder of a sequence
+    #[arg(long, value_name = "DIR")]
+    dataset: PathBuf,
+    /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id [default: the dataset's
+    /// test_ref_targets_PROTOCOL.json, else a list that is built and written to --out]
+    #[arg(long, value_name = "JSON")]
+    targets: Option<PathBuf>,
+    /// Masks: gt (annotated visible masks), unoseg (found for --targets as `segment` does, by --descriptor or the first
+    /// checkpoint; kept in OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
+    detections: PathBuf,
+    /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
+    /// colour), weights of Segment Anything or MobileSAM, or a list of masks of another segmenter in the COCO/BOP form
+    /// [default: embedded]
+    #[arg(long, value_name = "SOURCES", value_delimiter = ',')]
+    proposals: Vec<String>,
+    /// With weights of Segment Anything: clicks per side of its grid [default: 32]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=128))]
+    sam_points: Option<u16>,
+    /// DINOv2 weights by which unoseg compares proposals with the reference [default: the first checkpoint compares]
+    #[arg(long, value_name = "FILE")]
+    descriptor: Option<PathBuf>,
+    /// Methods, separated by commas: aligncenter, fpfh-ransac, fpfh-mac, ppf, unopose; or all
+    #[arg(long, value_delimiter = ',', default_value = "all")]
+    methods: Vec<String>,
+    /// Refinements after every method, separated by commas: none, icp, gicp (local, at most 30 mm and 15 degrees)
+    #[arg(long, value_delimiter = ',', default_value = "none")]
+    refine: Vec<Refinement>,
+    /// Folder for the tables, the page and the results that a later call goes on from
+    #[arg(long, value_name = "DIR", default_value = "bench")]
+    out: PathBuf,
+    /// Split of the targets [default: test, or the first that begins so]
+    #[arg(long)]
+    split: Option<String>,
+    /// Split of the reference views, several separated by commas [default: train_real for TUD-L and YCB-V, else that of the
+    /// targets]
+    #[arg(long)]
+    reference_split: Option<String>,
+    /// Targets that recall counts [default: those of the list]
+    #[arg(long, value_name = "JSON")]
+    score_targets: Option<PathBuf>,
+    /// Only the first N entries of every list
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    /// Numbers of references per object of the protocol references
+    #[arg(long, value_delimiter = ',', default_values_t = REFERENCE_COUNTS)]
+    counts: Vec<usize>,
+    /// Reference frame of a sequence [default: the first]
+    #[arg(long, value_name = "ID")]
+    reference_frame: Option<u32>,
+    /// Every so many frames of a sequence one is a query
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    frame_step: usize,
+    /// Weights of the network, several separated by commas [default: as for estimate]
+    #[arg(long, value_name = "FILE", value_delimiter = ',')]
+    checkpoint: Vec<PathBuf>,
+    /// A table of the networks with these ingredients as columns, separated by commas: grf, lrf, fine, overlap
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = INGREDIENTS)]
+    ablation: Vec<String>,
+    /// Compute device of the network: auto, flex, ndarray, wgpu or cuda
+    #[arg(long, default_value = "auto")]
+    device: DeviceChoice,
+    /// Seed of the references' choice, the network's sampling and the confidence intervals
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
+    let methods = methods(arguments)?;
+    if matches!(arguments.protocol, ProtocolName::Sequence) {
+        return sequence(arguments, &methods);
+    }
+    let shown: Mutex<Option<(String, Progress)>> = Mutex::new(None);
+    let suite = Suite {
+        methods: &methods,
+        refinements: &arguments.refine,
+        ablation: &arguments.ablation,
+        cache: &arguments.out.join("results"),
+        score_targets: arguments.score_targets.as_deref(),
+        seed: arguments.seed,
+        progress: &|label, done, total| show(&shown, label, done, total),
+    };
+    let (own, segmentations) = segmentations(arguments)?;
+    for segmentation in segmentations {
+        let folder = match &segmentation {
+            Segmentation::Own(masks) if own.len() > 1 => arguments.out.join(&masks.proposals),
+            _ => arguments.out.clone(),
+        };
+        let request = ListRequest {
+            dataset: arguments.dataset.clone(),
+            split: arguments.split.clone(),
+            reference_split: arguments.reference_split.clone(),
+            targets: arguments.targets.clone(),
+            segmentation,
+            limit: arguments.limit,
+            seed: arguments.seed,
+            rendered: matches!(arguments.protocol, ProtocolName::Rendered),
+        };
+        let mut lists = request.prepare(&protocols(arguments), &folder)?;
+        lists.iter_mut().for_each(|prepared| prepared.facts.own_masks = own.clone());
+        run_lists(&suite, &lists, &folder)?;
+    }
+    Ok(())
+}
+
+/// All methods on every list; several have folders of their own.
+fn run_lists(suite: &Suite<'_>, lists: &[PreparedList], folder: &Path) -> anyhow::Result<()> {
+    for prepared in lists {
+        let name = &prepared.facts.list;
+        eprintln!("{name}: {} targets", prepared.list.targets.len());
+        let folder = if lists.len() > 1 { folder.join(name) } else { folder.to_owned() };
+        suite.run(&prepared.list, &prepared.facts, &folder)?;
+        for table in ["table.md", "ablation.md"] {
+            let path = folder.join(table);
+            if path.is_file() {
+                println!("{}", std::fs::read_to_string(path)?);
+            }
+        }
+        println!("{}", folder.join("index.html").display());
+    }
+    Ok(())
+}
+
+/// Our own masks where they are asked for, and the segmentations to run with, one after the other.
+fn segmentations(arguments: &BenchArguments) -> anyhow::Result<(Vec<OwnMasks>, Vec<Segmentation>)> {
+    let given = match arguments.detections.to_str() {
+        Some("gt") => Segmentation::GroundTruth,
+        Some("unoseg") => {
+            let own = own_masks(arguments)?;
+            let segmentations = own.iter().cloned().map(Segmentation::Own).collect();
+            return Ok((own, segmentations));
+        }
+        _ => Segmentation::File(arguments.detections.clone()),
+    };
+    if arguments.descriptor.is_some() || !arguments.proposals.is_empty() || arguments.sam_points.is_some() {
+        bail!("--descriptor, --proposals and --sam-points are for --detections unoseg");
+    }
+    Ok((Vec::new(), vec![given]))
+}
+
+/// Detections of the targets by our own segmentation with every source of proposals, from the references and splits that
+/// the poses get.
+fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
+    let targets = arguments.targets.clone().context("--detections unoseg needs the list as --targets")?;
+    if matches!(arguments.protocol, ProtocolName::Rendered) {
+        bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
+    }
+    let sources: Vec<&str> = match arguments.proposals.as_slice() {
+        [] => vec![EMBEDDED],
+        sources => sources.iter().map(String::as_str).collect(),
+    };
+    check_sam_points(arguments.sam_points, &sources)?;
+    let sources = sources.into_iter().map(|source| generator(source, arguments.sam_points, arguments.device));
+    let sources: Vec<_> = sources.collect::<Result<_, _>>()?;
+    let names: BTreeSet<String> = sources.iter().map(|source| source.name()).collect();
+    if names.len() < sources.len() {
+        bail!("--proposals has several sources of one name among {names:?}, expected different ones");
+    }
+    let dataset = BopDataset::open(&arguments.dataset)?;
+    let reference_split = arguments.reference_split.as_deref().or_else(|| dataset.reference_split_name());
+    let files = DatasetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: reference_split.map(str::to_owned),
+        targets,
+        limit: arguments.limit,
+        templates: None,
+    };
+    let estimator = match arguments.checkpoint.first() {
+        Some(path) => PoseEstimator::load(path, arguments.device)?,
+        None => PoseEstimator::load_default(arguments.device)?,
+    }
+    .with_seed(arguments.seed);
+    let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+    let found = |source: &dyn ProposalGenerator| {
+        let out = arguments.out.join("segmentation").join(source.name());
+        let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
+        Ok(OwnMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
+    };
+    sources.iter().map(|source| found(source.as_ref())).collect()
+}
+
+fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
+    let sequence = PhoneSequence::open(&arguments.dataset)?;
+    let first = sequence.frame_ids().next().unwrap_or_default();
+    let reference = arguments.reference_frame.unwrap_or(first);
+    let step = arguments.frame_step;
+    let runs = run_sequence(&sequence, reference, step, methods, &arguments.refine, &arguments.out)?;
+    print!("{}", sequence_table(&sequence.name(), reference, &runs));
+    Ok(())
+}
+
+fn protocols(arguments: &BenchArguments) -> Vec<Protocol> {
+    match arguments.protocol {
+        ProtocolName::Rot50 | ProtocolName::Rendered | ProtocolName::Sequence => vec![Protocol::Rot50],
+        ProtocolName::CrossScene => vec![Protocol::CrossScene],
+        ProtocolName::RotationBins => vec![Protocol::Rot90],
+        ProtocolName::OnePerObject => vec![Protocol::OnePerObject],
+        ProtocolName::References => arguments.counts.iter().map(|&n| Protocol::FewPerObject(n)).collect(),
+    }
+}
+
+/// One bar at a time, a new one when the label changes.
+fn show(shown: &Mutex<Option<(String, Progress)>>, label: &str, done: usize, total: usize) {
+    let Ok(mut shown) = shown.lock() else { return };
+    if shown.as_ref().is_none_or(|(current, _)| current != label) {
+        if let Some((_, bar)) = shown.take() {
+            bar.finish();
+        }
+        *shown = Some((label.to_owned(), Progress::new(label)));
+    }
+    if let Some((_, bar)) = shown.as_ref() {
+        bar.set(done, total);
+        if done == total {
+            bar.finish();
+        }
+    }
+}
+
+fn methods(arguments: &BenchArguments) -> anyhow::Result<Vec<Method>> {
+    let all = arguments.methods.iter().any(|name| name == "all");
+    let names: Vec<&str> = if all {
+        CLASSICAL_METHODS.into_iter().chain([NETWORK]).collect()
+    } else {
+        arguments.methods.iter().map(String::as_str).collect()
+    };
+    let mut methods = Vec::new();
+    for name in names {
+        if name != NETWORK {
+            methods.push(Method { estimator: classical_method(name)?, switches: None });
+            continue;
+        }
+        let paths: Vec<_> = arguments.checkpoint.iter().map(|path| Some(path.as_path())).collect();
+        let paths = if paths.is_empty() { vec![None] } else { paths };
+        for path in &paths {
+            let network = Network::load(*path, arguments.device, arguments.seed, paths.len() > 1)?;
+            let switches = Some(network.switches());
+            methods.push(Method { estimator: Box::new(network), switches });
+        }
+    }
+    Ok(methods)
+}

@@ -1,0 +1,271 @@
+//! `unoinfer estimate`.
+
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, bail};
+use clap::Args;
+use image::Rgb;
+use serde_json::json;
+use unopose_core::{explain, frame::MaskedView, geometry::Pose};
+use unopose_dataset::formats::files::write_json;
+use unopose_eval::report::overlay;
+use unopose_infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder};
+use unopose_segment::{AnyMatcher, UnoSeg};
+
+use super::{options::EstimatorOptions, progress::Progress, proposals::ProposalOptions, segment::find_masks};
+
+/// Colours of the instances' points.
+const COLORS: [Rgb<u8>; 6] = [
+    Rgb([255, 170, 0]),
+    Rgb([0, 200, 255]),
+    Rgb([255, 80, 200]),
+    Rgb([140, 255, 60]),
+    Rgb([160, 120, 255]),
+    Rgb([255, 255, 120]),
+];
+
+#[derive(Args)]
+pub struct EstimateArguments {
+    /// Colour image of the query
+    #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
+    query_rgb: Option<PathBuf>,
+    /// Depth image of the query, registered to the colour image
+    #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
+    query_depth: Option<PathBuf>,
+    /// Mask of an instance in the query; several times for several instances [default: found by segmentation, exit code
+    /// 3 when the object is not there]
+    #[arg(long, value_name = "FILE", conflicts_with = "ProposalOptions")]
+    query_mask: Vec<PathBuf>,
+    /// DINOv2 weights by which the object is found without --query-mask: ViT-S, B or L with or without registers,
+    /// safetensors or PyTorch [default: the pose network's checkpoint finds it]
+    #[arg(long, value_name = "FILE", conflicts_with = "query_mask")]
+    descriptor: Option<PathBuf>,
+    #[command(flatten)]
+    proposals: ProposalOptions,
+    /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
+    /// when it is not --camera; results go to OUT/NAME/
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
+    query_dir: Option<PathBuf>,
+    /// Colour image of the reference
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_rgb: Option<PathBuf>,
+    /// Depth image of the reference
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_depth: Option<PathBuf>,
+    /// Mask of the object in the reference
+    #[arg(long, value_name = "FILE", required_unless_present = "reference")]
+    reference_mask: Option<PathBuf>,
+    /// A reference kept by --save-reference, instead of its images
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reference_rgb", "reference_depth", "reference_mask", "reference_camera"])]
+    reference: Option<PathBuf>,
+    /// Keep the prepared and encoded reference for later queries
+    #[arg(long, value_name = "FILE", conflicts_with = "reference")]
+    save_reference: Option<PathBuf>,
+    /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
+    #[arg(long, value_name = "JSON")]
+    camera: PathBuf,
+    /// Camera of the reference [default: --camera]
+    #[arg(long, value_name = "JSON")]
+    reference_camera: Option<PathBuf>,
+    /// Folder for pose.json and overlay.png
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    estimator: EstimatorOptions,
+}
+
+pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
+    let queries = queries(arguments)?;
+    let estimator = arguments.estimator.estimator()?;
+    let (reference, view) = reference(arguments, &estimator)?;
+    let generator = arguments.proposals.generator(arguments.estimator.device())?;
+    let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+    let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
+
+    let progress = Progress::new("estimating");
+    let mut failed = Vec::new();
+    for (done, (name, files)) in queries.iter().enumerate() {
+        progress.set(done, queries.len());
+        let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
+        let found = match (files.masks.is_empty(), &view) {
+            (false, _) => Ok(Cow::Borrowed(files)),
+            (true, Some(view)) => {
+                let masked = MaskedView { frame: &view.frame, mask: &view.masks[0] };
+                find_masks(&unoseg, masked, files, &out).map(Cow::Owned)
+            }
+            (true, None) => {
+                bail!("--query-mask is missing: a kept reference has no image to find the object by")
+            }
+        };
+        let estimated = found.and_then(|files| estimate_view(&estimator, &reference, &files, &out));
+        if let Err(error) = estimated {
+            // One bad query of a folder does not stop the others.
+            if queries.len() == 1 {
+                return Err(error);
+            }
+            eprintln!("{}: {}", files.rgb.display(), explain(error.as_ref()));
+            failed.push(files.rgb.display().to_string());
+        }
+    }
+    progress.finish();
+    if !failed.is_empty() {
+        bail!("{} of {} queries have no pose: {}", failed.len(), queries.len(), failed.join(", "));
+    }
+    Ok(())
+}
+
+/// The kept reference, or the one in the images with its view (one mask).
+fn reference(
+    arguments: &EstimateArguments,
+    estimator: &PoseEstimator,
+) -> anyhow::Result<(Reference, Option<View>)> {
+    if let Some(kept) = &arguments.reference {
+        return Ok((estimator.load_reference(kept)?, None));
+    }
+    let files = ViewFiles {
+        rgb: arguments.reference_rgb.clone().context("--reference-rgb is missing")?,
+        depth: arguments.reference_depth.clone().context("--reference-depth is missing")?,
+        masks: arguments.reference_mask.iter().cloned().collect(),
+        camera: arguments.reference_camera.clone().unwrap_or_else(|| arguments.camera.clone()),
+    };
+    let view = files.read()?;
+    let mask = view.masks.first().context("--reference-mask is missing")?;
+    let reference = estimator.reference(&view.frame, mask).with_context(|| place(&files, 0))?;
+    if let Some(path) = &arguments.save_reference {
+        estimator.save_reference(&reference, path)?;
+    }
+    Ok((reference, Some(view)))
+}
+
+/// Names (of a folder's views) and files.
+fn queries(arguments: &EstimateArguments) -> anyhow::Result<Vec<(Option<String>, ViewFiles)>> {
+    if let Some(folder) = &arguments.query_dir {
+        let views = query_folder(folder, &arguments.camera)?;
+        return Ok(views.into_iter().map(|(name, files)| (Some(name), files)).collect());
+    }
+    let files = ViewFiles {
+        rgb: arguments.query_rgb.clone().context("--query-rgb is missing")?,
+        depth: arguments.query_depth.clone().context("--query-depth is missing")?,
+        masks: arguments.query_mask.clone(),
+        camera: arguments.camera.clone(),
+    };
+    Ok(vec![(None, files)])
+}
+
+fn estimate_view(
+    estimator: &PoseEstimator,
+    reference: &Reference,
+    files: &ViewFiles,
+    out: &Path,
+) -> anyhow::Result<()> {
+    let view = files.read()?;
+    let results = estimator.estimate(reference, &view.frame, &view.masks);
+    let best =
+        results.iter().filter_map(|result| result.as_ref().ok()).max_by(|a, b| a.score.total_cmp(&b.score));
+    let Some(best) = best else {
+        let reasons: Vec<String> = results
+            .into_iter()
+            .enumerate()
+            .filter_map(|(i, result)| Some(format!("{}: {}", place(files, i), result.err()?)))
+            .collect();
+        bail!("{}", reasons.join("; "));
+    };
+    write_json(&out.join("pose.json"), &record(estimator, reference, files, &results, best), true)?;
+    overlay::write_png(&out.join("overlay.png"), &drawn(reference, &view, &results))?;
+    for (i, result) in results.iter().enumerate() {
+        match result {
+            Ok(estimate) => println!("{}", line(files, i, estimate)),
+            Err(error) => eprintln!("{}: {error}", place(files, i)),
+        }
+    }
+    println!("{} and overlay.png", out.join("pose.json").display());
+    Ok(())
+}
+
+/// The best instance's pose, then all instances.
+fn record(
+    estimator: &PoseEstimator,
+    reference: &Reference,
+    files: &ViewFiles,
+    results: &[Result<Estimate, InferError>],
+    best: &Estimate,
+) -> serde_json::Value {
+    let instances: Vec<serde_json::Value> = results
+        .iter()
+        .zip(&files.masks)
+        .map(|(result, mask)| {
+            let mut value = match result {
+                Ok(estimate) => fields(estimate),
+                Err(error) => json!({ "error": error.to_string() }),
+            };
+            value["mask"] = json!(mask);
+            value
+        })
+        .collect();
+    let mut value = fields(best);
+    value["instances"] = json!(instances);
+    value["reference"] = json!({
+        "radius_m": reference.radius(),
+        "points": reference.points().len(),
+        "seconds": reference.seconds(),
+    });
+    value["checkpoint"] = json!(estimator.source());
+    value["device"] = json!(estimator.backend().to_string());
+    value
+}
+
+fn fields(estimate: &Estimate) -> serde_json::Value {
+    let pose = |pose: &Pose| json!({ "R": pose.rotation_row_major(), "t": pose.translation.as_slice() });
+    json!({
+        "T_query_reference": pose(&estimate.t_query_reference),
+        "score": estimate.score,
+        "confidence": estimate.confidence.as_ref().map(|c| c.probability),
+        "confident": estimate.confidence.as_ref().map(|c| c.confident),
+        "reasons": estimate.confidence.as_ref().map(|c| &c.reasons),
+        "overlap": estimate.overlap[0],
+        "overlap_reference": estimate.overlap[1],
+        "matched": estimate.matched,
+        "refined": estimate.refined,
+        "T_query_reference_coarse": pose(&estimate.t_query_reference_coarse),
+        "timings": estimate.timings,
+    })
+}
+
+fn drawn(reference: &Reference, view: &View, results: &[Result<Estimate, InferError>]) -> image::RgbImage {
+    let mut image = view.frame.rgb.clone();
+    // Every point would hide the image.
+    let step = reference.points().len().div_ceil(4000).max(1);
+    let points: Vec<[f32; 3]> = reference.points().iter().copied().step_by(step).collect();
+    for (estimate, color) in results.iter().flatten().zip(COLORS.into_iter().cycle()) {
+        let pose = &estimate.t_query_reference;
+        image = overlay::pose_overlay(&image, &view.frame.intrinsics, pose, &points, color);
+    }
+    image
+}
+
+fn line(files: &ViewFiles, index: usize, estimate: &Estimate) -> String {
+    let (r, t) = (estimate.t_query_reference.rotation_row_major(), estimate.t_query_reference.translation);
+    let r = r.map(|x| format!("{x:.4}")).join(" ");
+    let mask = files.masks.get(index).map(|mask| mask.display().to_string()).unwrap_or_default();
+    let confidence = match &estimate.confidence {
+        None => "confidence unknown (the checkpoint has no calibration)".into(),
+        Some(confidence) if confidence.confident => format!("confidence {:.2}", confidence.probability),
+        Some(confidence) => {
+            let reasons: Vec<&str> = confidence.reasons.iter().map(|reason| reason.text.as_str()).collect();
+            format!("not confident ({:.2}: {})", confidence.probability, reasons.join("; "))
+        }
+    };
+    format!(
+        "{mask}: R [{r}] t [{:.4} {:.4} {:.4}] m, score {:.3}, overlap {:.2}, {confidence}, {:.3} s",
+        t.x, t.y, t.z, estimate.score, estimate.overlap[0], estimate.timings.total
+    )
+}
+
+/// What a message about an instance is about.
+fn place(files: &ViewFiles, index: usize) -> String {
+    let mask = files.masks.get(index).unwrap_or(&files.rgb);
+    format!("{} with depth {} and {}", mask.display(), files.depth.display(), files.camera.display())
+}

@@ -1,0 +1,58 @@
+//! What `estimate` and `eval` share.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use unopose_core::config::Precision;
+use unopose_infer::{InferError, PoseEstimator, Refinement};
+use unopose_nn::device::DeviceChoice;
+
+/// The network and how it runs.
+#[derive(Args)]
+pub struct EstimatorOptions {
+    /// Weights [default: checkpoints/geo.safetensors beside the binary or in the working directory, else the embedded
+    /// ones]
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Compute device: auto, flex, ndarray, wgpu or cuda
+    #[arg(long, default_value = "auto")]
+    device: DeviceChoice,
+    /// Number type of the network's products: f32, or bf16 (for GPUs)
+    #[arg(long, default_value_t)]
+    precision: Precision,
+    /// Refinement after the network: none, icp or gicp (local, at most 30 mm and 15 degrees)
+    #[arg(long, default_value = "none")]
+    refine: Refinement,
+    /// Seed of point sampling and pose hypotheses
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Confidence below which an estimate is reported as not confident [default: that of the checkpoint's calibration]
+    #[arg(long, value_name = "P", value_parser = probability)]
+    min_confidence: Option<f64>,
+}
+
+fn probability(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(p) if (0.0..=1.0).contains(&p) => Ok(p),
+        _ => Err(format!("{text:?}, expected a number from 0 to 1")),
+    }
+}
+
+impl EstimatorOptions {
+    /// For other networks than the estimator's.
+    pub fn device(&self) -> DeviceChoice {
+        self.device
+    }
+
+    pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
+        let estimator = match &self.checkpoint {
+            Some(path) => PoseEstimator::load(path, self.device)?,
+            None => PoseEstimator::load_default(self.device)?,
+        };
+        Ok(estimator
+            .with_precision(self.precision)?
+            .with_seed(self.seed)
+            .with_refinement(self.refine)
+            .with_min_confidence(self.min_confidence))
+    }
+}

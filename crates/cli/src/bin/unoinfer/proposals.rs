@@ -1,0 +1,67 @@
+//! Where proposals come from.
+
+use std::path::Path;
+
+use anyhow::bail;
+use clap::Args;
+use unopose_nn::device::{DeviceChoice, keep_freed_memory};
+use unopose_segment::{
+    EmbeddedProposals, ListedProposals, ProposalGenerator, SamProposals, sam::POINTS_PER_SIDE,
+};
+
+/// The source without weights.
+pub const EMBEDDED: &str = "embedded";
+
+/// Source of the proposals in which an object is looked for.
+#[derive(Args)]
+pub struct ProposalOptions {
+    /// Proposals: embedded (from depth and colour), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
+    /// a list of masks of another segmenter in the COCO/BOP form [default: embedded]
+    #[arg(long, value_name = "SOURCE")]
+    proposals: Option<String>,
+    /// With weights of Segment Anything: clicks per side of its grid [default: 32]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=128))]
+    sam_points: Option<u16>,
+}
+
+impl ProposalOptions {
+    pub fn generator(&self, device: DeviceChoice) -> anyhow::Result<Box<dyn ProposalGenerator>> {
+        let source = self.proposals.as_deref().unwrap_or(EMBEDDED);
+        check_sam_points(self.sam_points, &[source])?;
+        generator(source, self.sam_points, device)
+    }
+}
+
+/// Refuses a grid of clicks that no source has use for.
+pub fn check_sam_points(sam_points: Option<u16>, sources: &[&str]) -> anyhow::Result<()> {
+    if sam_points.is_some() && !sources.iter().any(|source| is_weights(source)) {
+        bail!(
+            "--sam-points is for weights of Segment Anything in --proposals, which is {}",
+            sources.join(",")
+        );
+    }
+    Ok(())
+}
+
+fn is_weights(source: &str) -> bool {
+    Path::new(source).extension().is_some_and(|e| ["pth", "pt", "safetensors"].iter().any(|w| e == *w))
+}
+
+/// The generator that a source names; `sam_points` is for weights of Segment Anything.
+pub fn generator(
+    source: &str,
+    sam_points: Option<u16>,
+    device: DeviceChoice,
+) -> anyhow::Result<Box<dyn ProposalGenerator>> {
+    let path = Path::new(source);
+    Ok(match source {
+        EMBEDDED => Box::new(EmbeddedProposals),
+        _ if is_weights(source) => {
+            // Every batch of clicks takes and frees hundreds of megabytes.
+            keep_freed_memory();
+            let sam = SamProposals::load(path, &device.open()?.0)?;
+            Box::new(sam.with_points_per_side(sam_points.map_or(POINTS_PER_SIDE, usize::from)))
+        }
+        _ => Box::new(ListedProposals::read(path)?),
+    })
+}

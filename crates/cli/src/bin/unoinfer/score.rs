@@ -1,0 +1,167 @@
+//! `unoinfer score`.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use clap::Args;
+use unopose_dataset::formats::{
+    BopDataset,
+    detections::read_detections,
+    files::write_json,
+    targets::{check_targets, read_targets},
+};
+use unopose_eval::eval::{
+    AverageRecall, CocoScores, Evaluation, Interval, RegionKind, ScoreFiles, average_recall_interval,
+    coco_detections, coco_ground_truth, coco_map, error_type_intervals, score_files,
+};
+
+use super::progress::Progress;
+
+#[derive(Args)]
+pub struct ScoreArguments {
+    /// BOP dataset folder
+    #[arg(long, value_name = "DIR")]
+    dataset: PathBuf,
+    /// Result table: scene_id,im_id,obj_id,score,R,t,time (its name does not matter)
+    #[arg(long, value_name = "CSV", required_unless_present = "detections")]
+    results: Option<PathBuf>,
+    /// Detections to score as in COCO: scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "JSON")]
+    detections: Option<PathBuf>,
+    /// Target list [default: test_targets_bop19.json of the dataset]
+    #[arg(long, value_name = "JSON")]
+    targets: Option<PathBuf>,
+    /// List of references for the rotation bins [default: the target list when it names references]
+    #[arg(long, value_name = "JSON")]
+    references: Option<PathBuf>,
+    /// Split of the targets [default: test, or the first that begins so]
+    #[arg(long)]
+    split: Option<String>,
+    /// Split of the reference views [default: that of the targets]
+    #[arg(long)]
+    reference_split: Option<String>,
+    /// Folder for scores.json and errors.json, and coco.json of detections
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+pub fn run(arguments: &ScoreArguments) -> anyhow::Result<()> {
+    if let Some(results) = &arguments.results {
+        poses(arguments, results)?;
+    }
+    if let Some(path) = &arguments.detections {
+        detections(arguments, path)?;
+    }
+    Ok(())
+}
+
+fn poses(arguments: &ScoreArguments, results: &Path) -> anyhow::Result<()> {
+    let files = ScoreFiles {
+        dataset: arguments.dataset.clone(),
+        results: results.to_owned(),
+        split: arguments.split.clone(),
+        targets: arguments.targets.clone(),
+        references: arguments.references.clone(),
+        reference_split: arguments.reference_split.clone(),
+    };
+    let progress = Progress::new("scoring");
+    let evaluation = score_files(&files, &|done, total| progress.set(done, total))?;
+    progress.finish();
+    if let Some(folder) = &arguments.out {
+        evaluation.write(folder)?;
+    }
+    print(&evaluation);
+    Ok(())
+}
+
+/// Draws of the intervals, and their seed.
+const RESAMPLES: (usize, u64) = (2000, 0);
+
+/// mAP of the masks and of the boxes.
+fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
+    let dataset = BopDataset::open(&arguments.dataset)?;
+    let split = match &arguments.split {
+        Some(name) => dataset.split(name)?,
+        None => dataset.test_split()?,
+    };
+    let list = arguments.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
+    let targets = read_targets(&list)?;
+    check_targets(&targets, &list.display().to_string(), &split)?;
+    let detections = read_detections(path)?;
+    let mut all: BTreeMap<&str, CocoScores> = BTreeMap::new();
+    for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {
+        let found = coco_detections(&detections, kind).with_context(|| path.display().to_string())?;
+        let scores = coco_map(&coco_ground_truth(&split, &targets, kind)?, &found);
+        println!(
+            "{name}: mAP {:.4}, AP50 {:.4}, AP75 {:.4}, AR100 {:.4} ({} instances, {} ignored, {} of {} detections outside)",
+            scores.map,
+            scores.ap50,
+            scores.ap75,
+            scores.ar100,
+            scores.n_instances,
+            scores.n_ignored,
+            scores.n_outside,
+            detections.len()
+        );
+        all.insert(name, scores);
+    }
+    if let Some(folder) = &arguments.out {
+        write_json(&folder.join("coco.json"), &all, true)?;
+    }
+    Ok(())
+}
+
+/// The scores as a table on stdout.
+pub fn print(evaluation: &Evaluation) {
+    let scores = &evaluation.scores;
+    let line = |name: &str, recall: &AverageRecall| {
+        let AverageRecall { ar, ar_vsd, ar_mssd, ar_mspd, n_targets } = recall;
+        println!("{name:<16} {ar:>7.4} {ar_vsd:>7.4} {ar_mssd:>7.4} {ar_mspd:>7.4} {n_targets:>8}");
+    };
+    println!("{:<16} {:>7} {:>7} {:>7} {:>7} {:>8}", "", "AR", "VSD", "MSSD", "MSPD", "targets");
+    line("all", &scores.recall);
+    let (draws, seed) = RESAMPLES;
+    let [vsd, mssd, mspd] = error_type_intervals(&evaluation.targets, draws, seed);
+    let all = [average_recall_interval(&evaluation.targets, draws, seed), vsd, mssd, mspd];
+    let ends = |name: &str, end: fn(&Interval) -> f64| {
+        let [ar, vsd, mssd, mspd] = all.map(|interval| end(&interval));
+        println!("{name:<16} {ar:>7.4} {vsd:>7.4} {mssd:>7.4} {mspd:>7.4}");
+    };
+    ends("95 % from", |interval| interval.low);
+    ends("95 % to", |interval| interval.high);
+    for (id, recall) in &scores.per_object {
+        line(&format!("object {id}"), recall);
+    }
+    for (id, recall) in &scores.per_scene {
+        line(&format!("scene {id}"), recall);
+    }
+    for bin in &scores.per_visibility {
+        line(&format!("visible {:.1}-{:.1}", bin.from, bin.to), &bin.recall);
+    }
+    for bin in &scores.per_rotation {
+        line(&format!("{:.0}-{:.0} degrees", bin.from, bin.to), &bin.recall);
+    }
+    let (map, accuracy) = (&scores.detection, &scores.accuracy);
+    println!("mAP {:.4} (MSSD {:.4}, MSPD {:.4})", map.map, map.map_mssd, map.map_mspd);
+    println!(
+        "AUC of ADD {:.4}, of ADD-S {:.4}; within 10 % of the diameter: ADD {:.4}, ADD-S {:.4}, ADD(-S) {:.4}",
+        accuracy.add_auc, accuracy.add_s_auc, accuracy.add_01d, accuracy.add_s_01d, accuracy.add_or_add_s_01d
+    );
+    println!(
+        "angular error {:.1} degrees, below 15 degrees {:.4}, below 30 degrees {:.4}",
+        accuracy.angular_error_deg, accuracy.acc15, accuracy.acc30
+    );
+    if scores.n_strangers > 0 {
+        println!("{} results are of images or objects that are no targets", scores.n_strangers);
+    }
+    for (what, seconds) in [("image", scores.mean_time_per_image_s), ("pair", scores.mean_time_per_pair_s)] {
+        if seconds >= 0.0 {
+            println!("{seconds:.3} s per {what}");
+        } else {
+            println!("time per {what} unknown");
+        }
+    }
+}

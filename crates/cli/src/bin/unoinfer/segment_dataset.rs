@@ -1,0 +1,79 @@
+//! Our own masks of the targets of a BOP dataset, for `segment`, `eval` and `bench`.
+
+use std::path::{Path, PathBuf};
+
+use unopose_dataset::formats::{
+    BopDataset,
+    detections::write_detections,
+    targets::{read_reference_targets, read_targets},
+};
+use unopose_eval::eval::{SegmentationScores, score_segmentation};
+use unopose_segment::{Matcher, ObjectViews, ProposalGenerator, Templates, UnoSeg, segment_targets};
+
+use super::progress::Progress;
+
+/// Files of [`segment_dataset`].
+pub struct DatasetFiles {
+    pub dataset: PathBuf,
+    pub split: Option<String>,
+    pub reference_split: Option<String>,
+    pub targets: PathBuf,
+    pub limit: Option<usize>,
+    /// Templates of each object's model instead of its reference view.
+    pub templates: Option<usize>,
+}
+
+/// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first's path
+/// and the last's content.
+pub fn segment_dataset<M: Matcher>(
+    files: &DatasetFiles,
+    generator: &dyn ProposalGenerator,
+    matcher: &M,
+    out: &Path,
+) -> anyhow::Result<(PathBuf, SegmentationScores)> {
+    let dataset = BopDataset::open(&files.dataset)?;
+    let split = match &files.split {
+        Some(name) => dataset.split(name)?,
+        None => dataset.test_split()?,
+    };
+    let other = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
+    let templates = files.templates.map(|count| Templates::new(&dataset, count)).transpose()?;
+    let views = match &templates {
+        Some(templates) => ObjectViews::Templates(templates),
+        None => ObjectViews::References(other.as_ref().unwrap_or(&split)),
+    };
+    let mut targets = read_reference_targets(&files.targets)?;
+    targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
+    let unoseg = UnoSeg { generator, matcher };
+    let progress = Progress::new("segmenting");
+    let show = &mut |done, total| progress.set(done, total);
+    let found = segment_targets(&unoseg, &targets, &split, &views, &out.join("images"), show)?;
+    progress.finish();
+    for (object, reason) in &found.unusable {
+        eprintln!("{object}: {reason}");
+    }
+    let path = out.join("detections.json");
+    write_detections(&path, &found.detections)?;
+    write_detections(&out.join("proposals.json"), &found.proposals)?;
+    let mut all = read_targets(&files.targets)?;
+    all.retain(|t| {
+        targets.iter().any(|r| (r.scene_id, r.im_id, r.obj_id) == (t.scene_id, t.im_id, t.obj_id))
+    });
+    let seconds = [found.seconds.as_slice(), &found.proposal_seconds];
+    let scores = score_segmentation(&split, &all, &found.detections, &found.proposals, seconds)?;
+    scores.write(&out.join("scores.json"))?;
+    println!(
+        "segmentation: mAP {:.3}, AP50 {:.3}; proposals: recall {:.3} at 0.5, {:.3} at 0.75 of {} targets, {:.1} per image; \
+         {:.3} s per image, {:.3} s of it proposals",
+        scores.map,
+        scores.detections.ap50,
+        scores.recall50,
+        scores.recall75,
+        scores.n_targets,
+        scores.proposals_per_image,
+        scores.mean_time_per_image_s,
+        scores.mean_proposal_time_per_image_s
+    );
+    println!("{}", path.display());
+    Ok((path, scores))
+}

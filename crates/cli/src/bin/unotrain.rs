@@ -1,0 +1,146 @@
+//! Trains UNOPose: `unotrain --config configs/geo.toml`.
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    sync::Arc,
+    time::Duration,
+};
+
+use anyhow::Context as _;
+use clap::Parser;
+use unopose_core::{config::Config, explain};
+use unopose_eval::report::Table;
+use unopose_nn::device::{DeviceChoice, keep_freed_memory};
+use unopose_train::{Ending, Interrupt, TrainOptions, TrainOutcome, train};
+
+/// Train UNOPose. Without data it generates its synthetic training and validation sets first; an interrupted run goes
+/// on where it stopped.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    /// Configuration file, or the name of a built-in one: geo, unopose, smoke.
+    #[arg(long, default_value = "geo")]
+    config: PathBuf,
+    /// Change a configuration value, for example `--set train.steps=2000`. Repeatable.
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    overrides: Vec<String>,
+    /// Run folder [default: runs/<name>].
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Folder of the generated data sets.
+    #[arg(long, default_value = "data")]
+    data: PathBuf,
+    /// End cleanly after this many minutes, data generation, validation and report included.
+    #[arg(long)]
+    minutes: Option<f64>,
+    /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
+    /// Go on with the run in the folder (the default).
+    #[arg(long, conflicts_with = "fresh")]
+    resume: bool,
+    /// Delete an earlier run in the folder.
+    #[arg(long)]
+    fresh: bool,
+    /// Save and leave when the run has taken this many steps.
+    #[arg(long, value_name = "STEP")]
+    stop_at: Option<u64>,
+    /// auto, flex, ndarray, wgpu or cuda.
+    #[arg(long, default_value = "auto")]
+    device: DeviceChoice,
+    /// Threads of the CPU backend and of data preparation [default: one per core].
+    #[arg(long)]
+    threads: Option<usize>,
+}
+
+fn main() -> ExitCode {
+    keep_freed_memory();
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into()),
+        )
+        .with_writer(std::io::stderr)
+        .without_time()
+        .init();
+    match run(Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", explain(error.as_ref()));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let config = load(&arguments.config, &arguments.overrides)?;
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
+    }
+    let time_limit = arguments
+        .minutes
+        .map(|minutes| Duration::try_from_secs_f64(60.0 * minutes).context("--minutes"))
+        .transpose()?;
+    let (device, backend) = arguments.device.open()?;
+    let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
+    let interrupt = Arc::new(Interrupt::default());
+    let signalled = interrupt.clone();
+    ctrlc::set_handler(move || {
+        if !signalled.request() {
+            std::process::exit(130);
+        }
+        eprintln!("saving; press Ctrl-C again to leave at once");
+    })
+    .context("cannot handle Ctrl-C")?;
+    eprintln!("run {} on {backend}, results in {}", config.name, out.display());
+    let options = TrainOptions {
+        out: out.clone(),
+        data_root: arguments.data,
+        init: arguments.init,
+        fresh: arguments.fresh,
+        time_limit,
+        stop_at: arguments.stop_at,
+        device,
+        interrupt,
+    };
+    let outcome = train(&config, &options)?;
+    print_summary(&outcome, &config, &out);
+    Ok(())
+}
+
+fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
+    let built_in = path.to_str().filter(|name| unopose_core::config::EMBEDDED_NAMES.contains(name));
+    Ok(match built_in {
+        Some(name) if !path.is_file() => Config::embedded(name, overrides)?,
+        _ => Config::load(path, overrides)?,
+    })
+}
+
+fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
+    let step = outcome.step;
+    println!(
+        "{}",
+        match outcome.ending {
+            Ending::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
+            Ending::Finished => format!("finished: {step} steps"),
+            Ending::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
+            Ending::Interrupted => format!("interrupted after {step} of {} steps, saved", config.train.steps),
+        }
+    );
+    let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
+    let first = outcome.validations.first();
+    let last = outcome.validations.last().filter(|last| first.is_some_and(|first| first.step != last.step));
+    for record in first.into_iter().chain(last) {
+        table.push([
+            format!("step {}", record.step),
+            format!("{:.3}", record.loss),
+            format!("{:.1} deg", record.median_rotation_deg),
+            format!("{:.1} cm", 100.0 * record.median_translation_m),
+            format!("{:.1} %", 100.0 * record.within_5deg_5cm),
+            format!("{:.1} %", 100.0 * record.within_15deg),
+            record.average_recall.map_or("-".into(), |ar| format!("{ar:.3}")),
+        ]);
+    }
+    print!("{table}");
+    println!("weights: {}", out.join("best.safetensors").display());
+}

@@ -1,0 +1,6 @@
+//! The programs as processes.
+
+mod infer;
+mod sam;
+mod train;
+mod verify;

@@ -1,0 +1,74 @@
+//! `unotrain` as a process: killed, resumed, misused.
+
+use std::{
+    path::Path,
+    process::{Command, Output},
+    time::{Duration, Instant},
+};
+
+use unopose_nn::checkpoint::TensorFile;
+use unopose_train::{Event, Journal};
+
+fn unotrain(folder: &Path, out: &str, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_unotrain"));
+    command.args(["--config", "smoke", "--set", "train.steps=80", "--set", "train.checkpoint_seconds=0.2"]);
+    command.arg("--data").arg(folder.join("data")).arg("--out").arg(folder.join(out)).args(more);
+    command
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+}
+
+fn weights(path: &Path) -> Vec<Vec<u32>> {
+    let file = TensorFile::read(path).unwrap();
+    file.tensors.values().map(|data| data.iter::<f32>().map(f32::to_bits).collect()).collect()
+}
+
+#[test]
+fn a_killed_run_goes_on_from_its_checkpoint_and_ends_like_one_that_was_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |out: &str| unotrain(folder.path(), out, &[]).output().unwrap();
+    let whole = run("whole");
+    assert!(text(&whole).contains("finished: 80 steps"), "{}", text(&whole));
+
+    let mut child = unotrain(folder.path(), "killed", &[]).spawn().unwrap();
+    let last = folder.path().join("killed/last.safetensors");
+    let begin = Instant::now();
+    while !last.exists() && begin.elapsed() < Duration::from_secs(120) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_millis(300));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let again = run("killed");
+    assert!(text(&again).contains("finished: 80 steps"), "{}", text(&again));
+    assert_eq!(weights(&last), weights(&folder.path().join("whole/last.safetensors")));
+    let events = Journal::read(&folder.path().join("killed/metrics.jsonl")).unwrap();
+    let steps: Vec<u64> = events.iter().filter(|e| matches!(e, Event::Step(_))).map(Event::step).collect();
+    assert_eq!(steps, (1..=80).collect::<Vec<u64>>());
+
+    let third = run("killed");
+    assert!(
+        third.status.success() && text(&third).contains("already finished: 80 steps"),
+        "{}",
+        text(&third)
+    );
+}
+
+#[test]
+fn mistakes_are_named_and_exit_with_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &str); 4] = [
+        (&["--set", "trian.steps=3"], "--set trian.steps=3: unknown key `trian`, nearest valid: `train`"),
+        (&["--set", "model.image_size=30"], "model.image_size is 30, expected a multiple of 4"),
+        (&["--init", "absent.safetensors"], "cannot read checkpoint absent.safetensors: No such file"),
+        (&["--set", "data.train=\"absent\""], "absent"),
+    ];
+    for (arguments, expected) in cases {
+        let output = unotrain(folder.path(), "run", arguments).output().unwrap();
+        let text = text(&output);
+        assert!(!output.status.success() && text.contains(expected), "{arguments:?}: {text}");
+        assert!(!text.contains("panicked"), "{text}");
+    }
+}

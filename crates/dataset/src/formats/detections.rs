@@ -1,0 +1,197 @@
+//! Detections and segmentations as a COCO-like list.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    BopSplit, Foreground, FormatError, Target,
+    files::{read_json, write_json},
+    rle::Rle,
+};
+
+/// One detected instance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Detection {
+    pub scene_id: u32,
+    pub image_id: u32,
+    /// Object id.
+    pub category_id: u32,
+    /// x, y, width, height in pixels.
+    pub bbox: [f64; 4],
+    pub score: f64,
+    /// Seconds for the whole image, negative when unknown.
+    #[serde(default = "unknown")]
+    pub time: f64,
+    pub segmentation: Rle,
+}
+
+fn unknown() -> f64 {
+    -1.0
+}
+
+/// A detection that cannot be used.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SkippedDetection {
+    pub scene_id: u32,
+    pub im_id: u32,
+    pub obj_id: u32,
+    /// Place in the list.
+    pub entry: usize,
+    pub reason: String,
+}
+
+/// Reads a detection list in the order of the file. The masks stay encoded.
+pub fn read_detections(path: &Path) -> Result<Vec<Detection>, FormatError> {
+    let detections: Vec<Detection> = read_json(path)?;
+    for (entry, detection) in detections.iter().enumerate() {
+        let wrong = |field: &str, value: String, expected: &str| {
+            Err(FormatError::field(format!("{}: entry {entry}", path.display()), field, value, expected))
+        };
+        let Detection { score, bbox, .. } = detection;
+        if !score.is_finite() {
+            return wrong("score", score.to_string(), "a finite number");
+        }
+        if !bbox.iter().all(|x| x.is_finite()) || bbox[2] < 0.0 || bbox[3] < 0.0 {
+            return wrong("bbox", format!("{bbox:?}"), "x, y, width >= 0, height >= 0");
+        }
+    }
+    Ok(detections)
+}
+
+/// Splits off the detections in `images` of a split whose masks are broken, empty or of another size than the image.
+/// Images that are not there are left alone.
+pub fn usable_detections(
+    detections: Vec<Detection>,
+    split: &BopSplit,
+    images: &BTreeSet<(u32, u32)>,
+) -> Result<(Vec<Detection>, Vec<SkippedDetection>), FormatError> {
+    let mut sizes: BTreeMap<(u32, u32), [u32; 2]> = BTreeMap::new();
+    for &(scene_id, im_id) in images {
+        let (width, height) = split.scene(scene_id)?.image_size(im_id)?;
+        sizes.insert((scene_id, im_id), [height, width]);
+    }
+    let (mut usable, mut skipped) = (Vec::new(), Vec::new());
+    for (entry, detection) in detections.into_iter().enumerate() {
+        let size = sizes.get(&(detection.scene_id, detection.image_id));
+        match size.and_then(|size| detection.problem(*size)) {
+            None => usable.push(detection),
+            Some(reason) => skipped.push(SkippedDetection {
+                scene_id: detection.scene_id,
+                im_id: detection.image_id,
+                obj_id: detection.category_id,
+                entry,
+                reason,
+            }),
+        }
+    }
+    Ok((usable, skipped))
+}
+
+/// The true segmentation: visible masks of the targets' instances, the most visible ones where there are more.
+pub fn visible_instances(split: &BopSplit, targets: &[Target]) -> Result<Vec<Detection>, FormatError> {
+    let mut detections = Vec::new();
+    for target in targets {
+        let (scene, im_id) = (split.scene(target.scene_id)?, target.im_id);
+        let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
+        let mut of_object: Vec<_> = instances.filter(|(_, (gt, _))| gt.obj_id == target.obj_id).collect();
+        of_object.sort_by(|(_, (_, a)), (_, (_, b))| b.visib_fract.total_cmp(&a.visib_fract));
+        for (index, (_, info)) in of_object.into_iter().take(target.inst_count as usize) {
+            detections.push(Detection {
+                scene_id: target.scene_id,
+                image_id: im_id,
+                category_id: target.obj_id,
+                bbox: info.bbox_visib.map(f64::from),
+                score: 1.0,
+                time: 0.0,
+                segmentation: Rle::encode_compressed(&scene.mask_visib(im_id, index)?),
+            });
+        }
+    }
+    Ok(detections)
+}
+
+impl Detection {
+    /// Why the mask is of no use in an image of `size` (height, width).
+    fn problem(&self, size: [u32; 2]) -> Option<String> {
+        match Foreground::new(&self.segmentation) {
+            Err(error) => Some(error.to_string()),
+            Ok(mask) if mask.size() != size => {
+                let ([h, w], [height, width]) = (mask.size(), size);
+                Some(format!("segmentation size is {w} x {h}, expected the image's {width} x {height}"))
+            }
+            Ok(mask) if mask.area() == 0 => Some("segmentation is empty, expected at least one pixel".into()),
+            Ok(_) => None,
+        }
+    }
+}
+
+/// Writes a detection list.
+pub fn write_detections(path: &Path, detections: &[Detection]) -> Result<(), FormatError> {
+    write_json(path, detections, false)
+}
+
+/// Detections that get a pose: those scored above `threshold`, or the best one when there is none.
+pub fn confident_or_best<'a>(detections: &[&'a Detection], threshold: f64) -> Vec<&'a Detection> {
+    let confident: Vec<_> = detections.iter().copied().filter(|d| d.score > threshold).collect();
+    if !confident.is_empty() {
+        return confident;
+    }
+    detections.iter().copied().max_by(|a, b| a.score.total_cmp(&b.score)).into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use unopose_core::frame::Mask;
+
+    use super::*;
+    use crate::formats::rle::Counts;
+
+    #[test]
+    fn both_mask_forms_survive_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("dets.json");
+        let mask = Mask { width: 3, height: 2, data: vec![true, false, true, true, false, false] };
+        let detection = |segmentation, score| Detection {
+            scene_id: 1,
+            image_id: 2,
+            category_id: 3,
+            bbox: [0.0, 0.0, 2.0, 1.0],
+            score,
+            time: 0.5,
+            segmentation,
+        };
+        let list = [detection(Rle::encode(&mask), 0.2), detection(Rle::encode_compressed(&mask), 0.24)];
+        write_detections(&path, &list).unwrap();
+        let read = read_detections(&path).unwrap();
+        assert_eq!(read, list);
+        assert!(matches!(read[1].segmentation.counts, Counts::Compressed(_)));
+        assert_eq!(read[0].segmentation.decode().unwrap(), read[1].segmentation.decode().unwrap());
+
+        for (broken, part) in [
+            (
+                Detection { score: -1.0, bbox: [0.0, 0.0, -2.0, 1.0], ..list[1].clone() },
+                "entry 1: bbox is [0.0, 0.0, -2.0",
+            ),
+            (Detection { score: f64::NAN, ..list[1].clone() }, "invalid type: null"),
+        ] {
+            write_detections(&path, &[list[0].clone(), broken]).unwrap();
+            let message = read_detections(&path).unwrap_err().to_string();
+            assert!(message.contains("dets.json") && message.contains(part), "{message}");
+        }
+        let of_size =
+            |size| Detection { segmentation: Rle { size, counts: Counts::Runs(vec![6]) }, ..list[0].clone() };
+        assert_eq!(list[0].problem([2, 3]), None);
+        assert!(list[0].problem([4, 3]).unwrap().contains("size is 3 x 2, expected the image's 3 x 4"));
+        assert!(of_size([2, 3]).problem([2, 3]).unwrap().contains("empty"));
+        assert!(of_size([2, 2]).problem([2, 2]).unwrap().contains("sum of counts is 6"));
+
+        let all: Vec<_> = read.iter().collect();
+        assert_eq!(confident_or_best(&all, 0.25), [&read[1]]);
+        assert_eq!(confident_or_best(&all, 0.1).len(), 2);
+        assert!(confident_or_best(&[], 0.1).is_empty());
+    }
+}

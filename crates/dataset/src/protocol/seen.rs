@@ -1,0 +1,114 @@
+//! Annotated instances as targets and as reference views.
+
+use std::{path::PathBuf, sync::Arc};
+
+use unopose_core::geometry::Pose;
+
+use crate::formats::{BopScene, BopSplit, FormatError, Target};
+
+/// Targets: at least this visible share, and this many pixels in an image 640 pixels wide.
+const TARGET: (f64, f64) = (0.1, 150.0);
+/// The same for references.
+const REFERENCE: (f64, f64) = (0.7, 900.0);
+
+/// An annotated instance.
+pub struct Seen {
+    pub scene_id: u32,
+    pub im_id: u32,
+    pub instance: usize,
+    pub obj_id: u32,
+    pub t_camera_object: Pose,
+    pub visib_fract: f64,
+    px_count_visib: f64,
+    /// Pixels of the image, of one 640 pixels wide with square pixels.
+    scale: f64,
+    /// The silhouette does not touch the border.
+    whole: bool,
+    /// The scene's folder: scenes of different splits may have the same number.
+    scene: Arc<PathBuf>,
+}
+
+impl Seen {
+    pub fn can_be_target(&self) -> bool {
+        self.passes(TARGET)
+    }
+
+    /// Occluded by less than 30 %, large enough, and not cut by the border.
+    pub fn can_be_reference(&self) -> bool {
+        self.whole && self.passes(REFERENCE)
+    }
+
+    fn passes(&self, (visib_fract, pixels): (f64, f64)) -> bool {
+        self.visib_fract >= visib_fract && self.px_count_visib >= pixels * self.scale
+    }
+
+    pub fn in_scene_of(&self, other: &Self) -> bool {
+        self.scene == other.scene
+    }
+
+    pub fn in_image_of(&self, other: &Self) -> bool {
+        self.im_id == other.im_id && self.in_scene_of(other)
+    }
+
+    /// The image, for sets.
+    pub fn image(&self) -> (Arc<PathBuf>, u32) {
+        (self.scene.clone(), self.im_id)
+    }
+}
+
+/// All annotated instances of a split, by scene and image.
+pub fn seen_instances(split: &BopSplit) -> Result<Vec<Seen>, FormatError> {
+    let mut seen = Vec::new();
+    for &scene_id in split.scene_ids() {
+        let scene = split.scene(scene_id)?;
+        let Some(first) = scene.image_ids().next() else { continue };
+        // The images of a scene are from one camera.
+        let size = scene.image_size(first)?;
+        let folder = Arc::new(scene.folder.clone());
+        for im_id in scene.image_ids() {
+            seen.extend(seen_in_image(&scene, im_id, size, &folder)?);
+        }
+    }
+    Ok(seen)
+}
+
+/// The most visible instance of every target.
+pub fn seen_targets(split: &BopSplit, targets: &[Target]) -> Result<Vec<Seen>, FormatError> {
+    let mut seen = Vec::new();
+    for target in targets {
+        let scene = split.scene(target.scene_id)?;
+        let size = scene.image_size(target.im_id)?;
+        let instances = seen_in_image(&scene, target.im_id, size, &Arc::new(scene.folder.clone()))?;
+        let (best, _) = scene.most_visible(target.im_id, target.obj_id)?;
+        seen.extend(instances.into_iter().nth(best));
+    }
+    Ok(seen)
+}
+
+fn seen_in_image(
+    scene: &BopScene,
+    im_id: u32,
+    (width, height): (u32, u32),
+    folder: &Arc<PathBuf>,
+) -> Result<Vec<Seen>, FormatError> {
+    let (width, height) = (width as i32, height as i32);
+    let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
+    let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
+    instances
+        .map(|(instance, (gt, info))| {
+            let [x, y, w, h] = info.bbox_obj;
+            Ok(Seen {
+                scene_id: scene.id,
+                im_id,
+                instance,
+                obj_id: gt.obj_id,
+                t_camera_object: gt.pose(&place)?,
+                visib_fract: info.visib_fract,
+                px_count_visib: info.px_count_visib.into(),
+                scale: (f64::from(width) / 640.0).powi(2),
+                whole: x > 0 && y > 0 && x + w < width - 1 && y + h < height - 1,
+                scene: folder.clone(),
+            })
+        })
+        .collect()
+}

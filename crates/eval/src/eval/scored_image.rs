@@ -1,0 +1,176 @@
+//! The scores of one image.
+
+use std::collections::BTreeMap;
+
+use unopose_core::geometry::Pose;
+use unopose_dataset::formats::{BopScene, PoseResult, Target};
+
+use super::{
+    EvalError, EvalObject, PoseErrors, REFERENCE_WIDTH, ScoreOptions, TargetOutcome,
+    coco::MIN_VISIBILITY,
+    matching::top,
+    outcome::{answers, hits},
+    pose_detection::{MAX_ESTIMATES, ObjectEstimates},
+    pose_error::{mspd, mssd},
+    vsd::TestView,
+};
+
+/// Targets and results of an image.
+#[derive(Default)]
+pub struct Image<'a> {
+    pub targets: Vec<&'a Target>,
+    pub results: Vec<&'a PoseResult>,
+}
+
+/// What is known of an image afterwards.
+#[derive(Default)]
+pub struct ScoredImage {
+    pub targets: Vec<TargetOutcome>,
+    /// Of all objects that are a target anywhere.
+    pub ranked: Vec<ObjectEstimates>,
+    /// Estimates compared with a target.
+    pub n_estimates: usize,
+}
+
+/// Annotations of an image.
+struct Annotation<'a> {
+    scene: &'a BopScene,
+    im_id: u32,
+    view: TestView<'a>,
+    options: &'a ScoreOptions<'a>,
+}
+
+/// An object's annotated instances and its estimates in an image.
+struct ObjectInImage<'a> {
+    obj_id: u32,
+    object: &'a EvalObject,
+    /// Index in `scene_gt.json`, true pose and visible share.
+    instances: Vec<(usize, Pose, f64)>,
+    /// By descending score.
+    estimates: Vec<&'a PoseResult>,
+    /// How many of them are among the image's best.
+    ranked: usize,
+}
+
+impl Image<'_> {
+    pub fn score(
+        &self,
+        scene: &BopScene,
+        im_id: u32,
+        objects: &BTreeMap<u32, EvalObject>,
+        options: &ScoreOptions,
+    ) -> Result<ScoredImage, EvalError> {
+        let (depth, camera) = (scene.depth(im_id)?, scene.camera(im_id)?.intrinsics);
+        let view = TestView { depth: &depth, camera: &camera, delta: options.delta };
+        let annotation = Annotation { scene, im_id, view, options };
+        let counts: BTreeMap<u32, u32> = self.targets.iter().map(|t| (t.obj_id, t.inst_count)).collect();
+        let sorted = top(self.results.iter().map(|r| r.score), self.results.len());
+        let mut scored = ScoredImage::default();
+        for (&obj_id, object) in objects {
+            let inst_count = counts.get(&obj_id).copied().unwrap_or(0) as usize;
+            let of_object = |best: &[usize]| -> Vec<&PoseResult> {
+                best.iter().map(|&i| self.results[i]).filter(|r| r.obj_id == obj_id).collect()
+            };
+            let estimates = of_object(&sorted);
+            let ranked = of_object(&sorted[..sorted.len().min(MAX_ESTIMATES)]).len();
+            let instances = annotation.instances(obj_id)?;
+            if inst_count > 0 && instances.is_empty() {
+                let scene = scene.folder.display().to_string();
+                return Err(EvalError::TargetWithoutGt { scene, im_id, obj_id });
+            }
+            if instances.is_empty() && estimates.is_empty() {
+                continue;
+            }
+            let of_object = ObjectInImage { obj_id, object, instances, estimates, ranked };
+            of_object.score(&annotation, inst_count, &mut scored);
+        }
+        Ok(scored)
+    }
+}
+
+impl Annotation<'_> {
+    fn instances(&self, obj_id: u32) -> Result<Vec<(usize, Pose, f64)>, EvalError> {
+        let (gt, info) = (self.scene.gt(self.im_id)?, self.scene.gt_info(self.im_id)?);
+        let place = || format!("{}: image {}", self.scene.folder.join("scene_gt.json").display(), self.im_id);
+        let of_object = gt.iter().zip(info).enumerate().filter(|(_, (gt, _))| gt.obj_id == obj_id);
+        of_object.map(|(i, (gt, info))| Ok((i, gt.pose(&place())?, info.visib_fract))).collect()
+    }
+}
+
+impl ObjectInImage<'_> {
+    fn score(&self, annotation: &Annotation, inst_count: usize, scored: &mut ScoredImage) {
+        let valid = top(self.instances.iter().map(|i| i.2), inst_count);
+        let compared = &self.estimates[..self.estimates.len().min(inst_count)];
+        let errors = self.errors(annotation, &valid, compared);
+        scored.n_estimates += compared.len();
+        let view = &annotation.view;
+        let hits = hits(&errors, valid.len(), self.object.diameter, view.depth.width);
+        let answers = answers(&errors, valid.len());
+        let (scene_id, im_id) = (annotation.scene.id, annotation.im_id);
+        let rotations = annotation.options.rotations;
+        for ((&instance, hits), answer) in valid.iter().zip(hits).zip(answers) {
+            let (gt_index, _, visib_fract) = self.instances[instance];
+            scored.targets.push(TargetOutcome {
+                scene_id,
+                im_id,
+                obj_id: self.obj_id,
+                gt_index,
+                visib_fract,
+                rot_deg: rotations.and_then(|r| r.degrees(scene_id, im_id, self.obj_id)),
+                diameter: self.object.diameter,
+                symmetric: self.object.is_symmetric(),
+                errors: answer.cloned(),
+                hits,
+            });
+        }
+        scored.ranked.push(self.ranked(annotation, &valid, &errors));
+    }
+
+    /// `[estimate][instance of valid]`.
+    fn errors(
+        &self,
+        annotation: &Annotation,
+        valid: &[usize],
+        compared: &[&PoseResult],
+    ) -> Vec<Vec<PoseErrors>> {
+        let view = &annotation.view;
+        let truths = if compared.is_empty() { &[][..] } else { valid };
+        let rendered: Vec<_> =
+            truths.iter().map(|&i| view.render(self.object, &self.instances[i].1)).collect();
+        let of_estimate = |estimate: &&PoseResult| -> Vec<PoseErrors> {
+            let pairs = truths.iter().zip(&rendered);
+            let t_est = &estimate.t_camera_object;
+            pairs.map(|(&i, w)| PoseErrors::new(self.object, view, t_est, &self.instances[i].1, w)).collect()
+        };
+        compared.iter().map(of_estimate).collect()
+    }
+
+    /// The image's best estimates against all instances; `known` are those of [`Self::errors`].
+    fn ranked(&self, annotation: &Annotation, valid: &[usize], known: &[Vec<PoseErrors>]) -> ObjectEstimates {
+        let view = &annotation.view;
+        let pixels = REFERENCE_WIDTH / f64::from(view.depth.width);
+        let pair = |e: usize, i: usize| -> [f64; 2] {
+            let position = valid.iter().position(|&v| v == i);
+            let [mssd, mspd] = match position.and_then(|p| known.get(e)?.get(p)) {
+                Some(errors) => [errors.mssd, errors.mspd],
+                None => {
+                    let (t_est, t_gt) = (&self.estimates[e].t_camera_object, &self.instances[i].1);
+                    [mssd(self.object, t_est, t_gt), mspd(self.object, view.camera, t_est, t_gt)]
+                }
+            };
+            [mssd / self.object.diameter, mspd * pixels]
+        };
+        let pairs: Vec<Vec<[f64; 2]>> =
+            (0..self.ranked).map(|e| (0..self.instances.len()).map(|i| pair(e, i)).collect()).collect();
+        let error = |k: usize| pairs.iter().map(|row| row.iter().map(|p| p[k]).collect()).collect();
+        let counted =
+            |(i, instance): (usize, &(usize, Pose, f64))| valid.contains(&i) && instance.2 >= MIN_VISIBILITY;
+        ObjectEstimates {
+            obj_id: self.obj_id,
+            scores: self.estimates[..self.ranked].iter().map(|e| e.score).collect(),
+            mssd: error(0),
+            mspd: error(1),
+            counted: self.instances.iter().enumerate().map(counted).collect(),
+        }
+    }
+}

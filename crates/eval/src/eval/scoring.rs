@@ -1,0 +1,156 @@
+//! From result tables to scores.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+};
+
+use rayon::prelude::*;
+use unopose_dataset::formats::{
+    BopDataset, BopSplit, PoseResult, Target,
+    files::write_json,
+    results::read_results,
+    targets::{check_targets, read_reference_targets, read_targets},
+};
+
+use super::{
+    EstimateCounts, EvalError, EvalObject, MeanTimes, PoseMap, RotationBins, Scores, TargetOutcome,
+    scored_image::{Image, ScoredImage},
+};
+
+/// Scores of a set of results, with the outcome of every target in the order of the targets.
+#[derive(Clone, Debug)]
+pub struct Evaluation {
+    pub scores: Scores,
+    pub targets: Vec<TargetOutcome>,
+}
+
+impl Evaluation {
+    /// Writes `scores.json` and, target by target, `errors.json` into a folder.
+    pub fn write(&self, folder: &Path) -> Result<(), EvalError> {
+        self.scores.write(&folder.join("scores.json"))?;
+        Ok(write_json(&folder.join("errors.json"), &self.targets, true)?)
+    }
+}
+
+/// What scoring leaves open.
+#[derive(Clone, Copy)]
+pub struct ScoreOptions<'a> {
+    /// VSD's tolerance of visibility, metres.
+    pub delta: f64,
+    /// Rotations between target and reference views, for the bins.
+    pub rotations: Option<&'a RotationBins>,
+    /// Called after every image with the numbers of images done (not in order) and of all images.
+    pub progress: &'a (dyn Fn(usize, usize) + Sync),
+}
+
+impl ScoreOptions<'_> {
+    /// BOP's parameters for a dataset: 15 mm, 5 mm for ITODD.
+    pub fn for_dataset(dataset: &BopDataset) -> Self {
+        let delta = if dataset.name().eq_ignore_ascii_case("itodd") { 0.005 } else { 0.015 };
+        Self { delta, rotations: None, progress: &|_, _| {} }
+    }
+}
+
+/// Files of [`score_files`].
+#[derive(Clone, Debug)]
+pub struct ScoreFiles {
+    /// BOP dataset folder.
+    pub dataset: PathBuf,
+    /// Result table; its name does not matter.
+    pub results: PathBuf,
+    /// Split of the targets; found when `None`.
+    pub split: Option<String>,
+    /// Targets or references list; `test_targets_bop19.json` of the dataset when `None`.
+    pub targets: Option<PathBuf>,
+    /// References list for the rotation bins; `targets` when that is one.
+    pub references: Option<PathBuf>,
+    /// Split of the references; that of the targets when `None`.
+    pub reference_split: Option<String>,
+}
+
+/// Scores a result table.
+pub fn score_files(
+    files: &ScoreFiles,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Evaluation, EvalError> {
+    let dataset = BopDataset::open(&files.dataset)?;
+    let split = match &files.split {
+        Some(name) => dataset.split(name)?,
+        None => dataset.test_split()?,
+    };
+    let targets_path = files.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
+    let targets = read_targets(&targets_path)?;
+    check_targets(&targets, &targets_path.display().to_string(), &split)?;
+    let results = read_results(&files.results)?;
+    let references = match &files.references {
+        Some(path) => Some(read_reference_targets(path)?),
+        None => read_reference_targets(&targets_path).ok(),
+    };
+    let rotations = match references {
+        Some(references) => {
+            let other_split = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
+            Some(RotationBins::new(&references, &dataset, &split, other_split.as_ref().unwrap_or(&split))?)
+        }
+        None => None,
+    };
+    let options =
+        ScoreOptions { rotations: rotations.as_ref(), progress, ..ScoreOptions::for_dataset(&dataset) };
+    score_results(&dataset, &split, &targets, &results, &options)
+}
+
+/// Scores results. Average recalls leave out results of objects or images that are no targets.
+pub fn score_results(
+    dataset: &BopDataset,
+    split: &BopSplit,
+    targets: &[Target],
+    results: &[PoseResult],
+    options: &ScoreOptions,
+) -> Result<Evaluation, EvalError> {
+    if targets.is_empty() {
+        return Err(EvalError::NoTargets);
+    }
+    let objects = EvalObject::load_all(dataset, targets.iter().map(|t| t.obj_id).collect::<BTreeSet<_>>())?;
+    let is_target: BTreeSet<_> = targets.iter().map(|t| (t.scene_id, t.im_id, t.obj_id)).collect();
+    let mut images: BTreeMap<(u32, u32), Image> = BTreeMap::new();
+    for target in targets {
+        images.entry((target.scene_id, target.im_id)).or_default().targets.push(target);
+    }
+    let mut strangers = 0;
+    for result in results {
+        strangers += usize::from(!is_target.contains(&(result.scene_id, result.im_id, result.obj_id)));
+        if let Some(image) = images.get_mut(&(result.scene_id, result.im_id)) {
+            image.results.push(result);
+        }
+    }
+    let images: Vec<_> = images.into_iter().collect();
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let scored: Vec<ScoredImage> = images
+        .par_iter()
+        .map(|((scene_id, im_id), image)| {
+            let scene = split.scene(*scene_id)?;
+            let scored = image.score(&scene, *im_id, &objects, options)?;
+            let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            (options.progress)(count, images.len());
+            Ok(scored)
+        })
+        .collect::<Result<_, EvalError>>()?;
+    let counts = EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers };
+    let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
+    let (targets, ranked) = (targets.concat(), ranked.concat());
+    let scores = Scores::new(&targets, PoseMap::new(&ranked), counts, mean_times(results));
+    Ok(Evaluation { scores, targets })
+}
+
+/// Every line of an image repeats the image's time; a negative one makes the mean unknown.
+fn mean_times(results: &[PoseResult]) -> MeanTimes {
+    let mut images: BTreeMap<(u32, u32), f64> = BTreeMap::new();
+    for result in results {
+        images.insert((result.scene_id, result.im_id), result.time);
+    }
+    if images.is_empty() || results.iter().any(|r| r.time < 0.0) {
+        return MeanTimes { per_image_s: -1.0, per_pair_s: -1.0 };
+    }
+    let total: f64 = images.values().sum();
+    MeanTimes { per_image_s: total / images.len() as f64, per_pair_s: total / results.len() as f64 }
+}

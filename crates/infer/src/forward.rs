@@ -1,0 +1,268 @@
+//! Poses of prepared pairs: network forward passes on the device, pose solving on the host.
+
+use std::time::Instant;
+
+use burn::tensor::Device;
+use rayon::prelude::*;
+use unopose_core::{
+    config::{HypothesisScore, ModelConfig},
+    geometry::{MutualFit, Pose, coarse_pose},
+};
+use unopose_nn::{
+    device::is_host,
+    model::{CloudFeatures, CloudTensors, Supervision, UnoPose, into_group_tensors},
+};
+use unopose_pairs::data::{CloudInput, PreparedReference, positional_groups};
+
+use super::{
+    CloudPair, EncodedReferences, InferError, Matched, PairEstimate, PairTrace, StageTimes, Uniforms,
+    host_assignments, pairs::with_positions, trace::sparse_points,
+};
+
+/// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
+/// Everything else is done for each pair on its own, whose tensors fit into the caches better than those of several; the
+/// pairs pass side by side, so that no core waits at the end of a stage.
+const COLORS_ON_HOST: usize = 8;
+
+/// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
+pub fn estimate_pairs(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[(&CloudInput, &PreparedReference)],
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> Result<Vec<PairEstimate>, InferError> {
+    let network = Network { model, config, device };
+    let at_once = if is_host(device) { 1 } else { pairs.len().max(1) };
+    let mut estimates = Vec::with_capacity(pairs.len());
+    for pairs in pairs.chunks(at_once) {
+        let start = Instant::now();
+        let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
+        let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
+        let [query, reference] = network.clouds(&pairs);
+        let [query_features, features] = model.encode_both(&query, &reference);
+        let encoded = with_positions(model, config, &references, (&reference, features), device);
+        let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
+        let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        let sampling = Sampling { uniforms, first: estimates.len(), given: None };
+        let (traces, _) = network.match_encoded(&pairs, &clouds, sampling, times)?;
+        estimates.extend(traces.iter().zip(&pairs).map(|(trace, pair)| trace.estimate(pair)));
+    }
+    Ok(estimates)
+}
+
+/// [`estimate_pairs`] against references that are already encoded (one per pair, in order), with the stage times.
+pub fn estimate_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    references: &[&EncodedReferences],
+    uniforms: Uniforms<'_>,
+    device: &Device,
+) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
+    let network = Network { model, config, device };
+    let sampling = Sampling { uniforms, first: 0, given: None };
+    network.map_encoded(pairs, references, sampling, |trace, pair| trace.estimate(pair))
+}
+
+/// [`estimate_encoded`] with everything that led to the poses. `given` are poses (matching frames, one per pair) where
+/// the fine stage starts instead of at the coarse hypotheses.
+pub fn trace_encoded(
+    model: &UnoPose,
+    config: &ModelConfig,
+    pairs: &[CloudPair<'_>],
+    references: &[&EncodedReferences],
+    uniforms: Uniforms<'_>,
+    given: Option<&[Pose]>,
+    device: &Device,
+) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+    let network = Network { model, config, device };
+    network.map_encoded(pairs, references, Sampling { uniforms, first: 0, given }, |trace, _| trace)
+}
+
+/// Both sides of the pairs, encoded.
+struct EncodedClouds<'a> {
+    query: CloudTensors,
+    query_features: CloudFeatures,
+    reference: CloudTensors,
+    references: &'a EncodedReferences,
+}
+
+/// How the fine stage gets its starts: from sampled hypotheses, or `given` ones.
+#[derive(Clone, Copy)]
+struct Sampling<'a> {
+    uniforms: Uniforms<'a>,
+    /// Number of the first pair in the caller's list.
+    first: usize,
+    given: Option<&'a [Pose]>,
+}
+
+impl Sampling<'_> {
+    /// For one of the pairs.
+    fn of_pair(self, index: usize) -> Self {
+        Self { first: self.first + index, given: self.given.map(|starts| &starts[index..=index]), ..self }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Network<'a> {
+    model: &'a UnoPose,
+    config: &'a ModelConfig,
+    device: &'a Device,
+}
+
+impl Network<'_> {
+    /// Queries and references of the pairs.
+    fn clouds(&self, pairs: &[CloudPair<'_>]) -> [CloudTensors; 2] {
+        let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+        let references: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
+        [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, self.config, self.device))
+    }
+
+    /// What `finish` makes of the pairs' traces; on the CPU of each as soon as it is there, since a trace holds the whole
+    /// assignment (17 MB for 2048 points).
+    fn map_encoded<T: Send>(
+        &self,
+        pairs: &[CloudPair<'_>],
+        references: &[&EncodedReferences],
+        sampling: Sampling<'_>,
+        finish: impl Fn(PairTrace, &CloudPair<'_>) -> T + Sync,
+    ) -> Result<(Vec<T>, StageTimes), InferError> {
+        if !is_host(self.device) {
+            let start = Instant::now();
+            let Some(references) = EncodedReferences::batch(references) else {
+                return Ok((Vec::new(), StageTimes::default()));
+            };
+            let [query, reference] = self.clouds(pairs);
+            let query_features = self.model.encode(&query);
+            let clouds = EncodedClouds { query, query_features, reference, references: &references };
+            let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+            let (traces, times) = self.match_encoded(pairs, &clouds, sampling, times)?;
+            return Ok((
+                traces.into_iter().zip(pairs).map(|(trace, pair)| finish(trace, pair)).collect(),
+                times,
+            ));
+        }
+        let (mut finished, mut times) = (Vec::with_capacity(pairs.len()), StageTimes::default());
+        for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
+            let start = Instant::now();
+            let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+            let (images, choose) = CloudTensors::views(&queries, self.config, self.device);
+            let colors = self.model.feature_extraction.forward(images, &choose);
+            times.encode += start.elapsed().as_secs_f64();
+            let (first, start) = (finished.len(), Instant::now());
+            let matched: Vec<_> = pairs
+                .par_iter()
+                .zip(references)
+                .enumerate()
+                .map(|(index, (pair, references))| {
+                    let start = Instant::now();
+                    let pairs = std::slice::from_ref(pair);
+                    let [query, reference] = self.clouds(pairs);
+                    let query_features =
+                        self.model.encode_structure(&query, colors.clone().narrow(0, index, 1));
+                    let clouds = EncodedClouds { query, query_features, reference, references };
+                    let spent = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+                    let sampling = sampling.of_pair(first + index);
+                    let (traces, spent) = self.match_encoded(pairs, &clouds, sampling, spent)?;
+                    Ok((traces.into_iter().map(|trace| finish(trace, pair)).collect::<Vec<T>>(), spent))
+                })
+                .collect::<Result<_, InferError>>()?;
+            let wall = start.elapsed().as_secs_f64();
+            let all: f64 = matched.iter().map(|(_, spent)| spent.total()).sum();
+            for (of_pair, spent) in matched {
+                finished.extend(of_pair);
+                times.add(&spent.scaled(wall / all.max(f64::MIN_POSITIVE)));
+            }
+        }
+        Ok((finished, times))
+    }
+
+    /// Matching and pose solving, with their times added to `times`.
+    fn match_encoded(
+        &self,
+        pairs: &[CloudPair<'_>],
+        clouds: &EncodedClouds<'_>,
+        Sampling { uniforms, first, given }: Sampling<'_>,
+        mut times: StageTimes,
+    ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
+        let &Self { model, config, device } = self;
+        let EncodedClouds { query, query_features, reference, references } = clouds;
+        let mut clock = Instant::now();
+        let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
+        let mut coarse =
+            model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
+        let coarse = match coarse.pop() {
+            Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
+            None => Vec::new(),
+        };
+        times.coarse = lap();
+
+        let initial: Vec<_> = pairs
+            .par_iter()
+            .zip(&coarse)
+            .enumerate()
+            .map(|(index, (&CloudPair { query, reference, .. }, matched))| {
+                let coarse = coarse_pose(
+                    &matched.assignment,
+                    &sparse_points(query),
+                    &sparse_points(reference),
+                    &config.hypotheses,
+                    uniforms.stream(first + index),
+                    config.quirks.degenerate_triplets,
+                );
+                match config.hypotheses.score {
+                    HypothesisScore::Distance => coarse,
+                    HypothesisScore::MutualFit => {
+                        let fit = MutualFit::new(&query.points, &reference.points);
+                        coarse.rescored(|pose| fit.score(pose))
+                    }
+                }
+            })
+            .collect();
+        times.hypotheses = lap();
+
+        let starts: Vec<Pose> = match given {
+            Some(starts) => starts.to_vec(),
+            None => initial.iter().map(|coarse| coarse.pose).collect(),
+        };
+        let fine = match (&model.fine_point_matching, &references.position) {
+            (Some(stage), Some(reference_position)) => {
+                let groups: Vec<_> = pairs
+                    .par_iter()
+                    .zip(&starts)
+                    .map(|(pair, start)| {
+                        let t_reference_query = start.inverse();
+                        let moved: Vec<[f32; 3]> =
+                            pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
+                        positional_groups(&moved, config)
+                    })
+                    .collect();
+                let groups = into_group_tensors(groups, config, device);
+                let mut blocks = model.fine(
+                    (query, query_features, stage.position(&groups)),
+                    (reference, &references.features, reference_position.clone()),
+                    Supervision::LastBlock,
+                );
+                blocks.pop().map(|block| host_assignments(block, config.overlap, false)).transpose()?
+            }
+            _ => None,
+        };
+        times.fine = lap();
+
+        let fine: Vec<Option<Matched>> = match fine {
+            Some(fine) => fine.into_iter().map(Some).collect(),
+            None => vec![None; pairs.len()],
+        };
+        let stages: Vec<_> = coarse.into_iter().zip(initial).zip(starts).zip(fine).collect();
+        let traces = pairs
+            .par_iter()
+            .zip(stages)
+            .map(|(pair, (((coarse, initial), start), fine))| {
+                PairTrace::new(pair, (coarse, initial), (start, fine))
+            })
+            .collect();
+        times.solve = lap();
+        Ok((traces, times))
+    }
+}

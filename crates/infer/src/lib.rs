@@ -1,0 +1,42 @@
+//! Inference: from RGB-D views to poses.
+//!
+//! [`PoseEstimator`] is the way in: it loads a checkpoint, prepares a [`Reference`] once and estimates any number of
+//! query instances against it. [`estimate_pairs`] and its relatives work on prepared pairs (training's validation
+//! uses them), and [`estimate_targets`] runs the target list of a BOP dataset. Every random number comes from the seed alone, so a pose does not depend on what else is estimated
+//! with it.
+
+mod assignments;
+mod color_features;
+mod confidence;
+mod error;
+mod estimate;
+mod estimator;
+mod forward;
+mod one_pair;
+mod pairs;
+mod reference;
+mod reference_color;
+mod reference_file;
+mod settings;
+mod target_references;
+mod targets;
+mod trace;
+mod uniforms;
+mod view_files;
+
+pub use assignments::{Matched, host_assignments};
+pub use confidence::{Calibration, Confidence, Doubt, Evidence, Feature, Reason, RightPose, Term};
+pub use error::InferError;
+pub use estimate::{Estimate, Query, Timings, Trace};
+pub use estimator::PoseEstimator;
+pub use forward::{estimate_encoded, estimate_pairs, trace_encoded};
+pub use pairs::{CloudPair, EncodedReferences, PairEstimate, StageTimes, encode_references};
+pub use reference::Reference;
+pub use reference_color::ReferenceColor;
+pub use target_references::{PosedReference, TargetReferences};
+pub use targets::estimate_targets;
+pub use trace::{FineTrace, PairTrace, sparse_points};
+pub use uniforms::Uniforms;
+pub use view_files::{View, ViewFiles, query_folder};
+
+pub use unopose_pairs::registration::{IcpOutcome, IcpReference, Refinement, icp::refine_with, refine};

@@ -1,0 +1,36 @@
+//! The network behind the interface that it shares with classical registration.
+
+use std::time::Instant;
+
+use unopose_core::frame::MaskedView;
+use unopose_pairs::registration::{PairEstimator, PairPose, RegistrationError};
+
+use super::{InferError, PoseEstimator};
+
+/// Without a cached reference: both views are prepared and encoded for every pair.
+impl PairEstimator for PoseEstimator {
+    fn name(&self) -> String {
+        match self.refinement() {
+            super::Refinement::None => "unopose".into(),
+            refinement => format!("unopose-{refinement}"),
+        }
+    }
+
+    /// Of the network, the seed and the refinement.
+    fn fingerprint(&self) -> String {
+        let network = self.network().unwrap_or_default();
+        let (refinement, color) = (self.refinement().settings(), self.reference_color());
+        format!("{network} seed {} {refinement:?} {color}", self.seed())
+    }
+
+    fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
+        let start = Instant::now();
+        let failed = |error: InferError| RegistrationError::Estimator(Box::new(error));
+        let reference = self.reference(reference.frame, reference.mask).map_err(failed)?;
+        let mask = std::slice::from_ref(query.mask);
+        let estimate = PoseEstimator::estimate(self, &reference, query.frame, mask).pop();
+        let estimate = estimate.unwrap_or(Err(InferError::NotFinite)).map_err(failed)?;
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(PairPose { t_query_reference: estimate.t_query_reference, score: estimate.score, seconds })
+    }
+}

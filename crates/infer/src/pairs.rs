@@ -1,0 +1,157 @@
+//! Prepared pairs, encoded references and the poses of pairs.
+
+use burn::tensor::{Device, Tensor};
+use unopose_core::{config::ModelConfig, geometry::Pose};
+use unopose_nn::model::{CloudFeatures, CloudTensors, OwnLayers, UnoPose, group_tensors};
+use unopose_pairs::data::{CloudInput, PreparedReference};
+
+use super::Evidence;
+
+/// Pose of one pair with what explains it.
+#[derive(Clone, Debug)]
+pub struct PairEstimate {
+    /// Reference camera to query camera, metres.
+    pub t_query_reference: Pose,
+    /// Confidence in [0, 1]: share of matched query points that lie on the reference, times the share matched
+    /// (section 6; without a fine stage computed on the coarse matches).
+    pub score: f64,
+    /// Coarse pose, metres.
+    pub t_query_reference_coarse: Pose,
+    /// Score of the coarse hypothesis, see [`HypothesisScore`].
+    pub coarse_score: f64,
+    /// Mean predicted overlap of the query's and the reference's points.
+    pub overlap: [f64; 2],
+    /// Share of query points matched to a reference point.
+    pub matched: f64,
+    /// What speaks for the pose.
+    pub evidence: Evidence,
+}
+
+/// Where the wall-clock time of a batch went; the time of pairs that pass side by side is divided among their stages.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize)]
+pub struct StageTimes {
+    /// Colour features and structure embeddings, seconds.
+    pub encode: f64,
+    /// Coarse matching, seconds.
+    pub coarse: f64,
+    /// Hypotheses, seconds.
+    pub hypotheses: f64,
+    /// Positional encoding and fine matching, seconds.
+    pub fine: f64,
+    /// Weighted Procrustes and scoring, seconds.
+    pub solve: f64,
+}
+
+impl StageTimes {
+    /// Of one of `count` pairs.
+    pub fn divided(&self, count: usize) -> Self {
+        self.scaled(1.0 / count.max(1) as f64)
+    }
+
+    pub(super) fn scaled(&self, factor: f64) -> Self {
+        Self {
+            encode: self.encode * factor,
+            coarse: self.coarse * factor,
+            hypotheses: self.hypotheses * factor,
+            fine: self.fine * factor,
+            solve: self.solve * factor,
+        }
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        self.encode += other.encode;
+        self.coarse += other.coarse;
+        self.hypotheses += other.hypotheses;
+        self.fine += other.fine;
+        self.solve += other.solve;
+    }
+
+    pub fn total(&self) -> f64 {
+        self.encode + self.coarse + self.hypotheses + self.fine + self.solve
+    }
+}
+
+/// What the network computes of a reference (or a batch of them) without a query, on the device.
+#[derive(Clone, Debug)]
+pub struct EncodedReferences {
+    pub(super) features: CloudFeatures,
+    /// Positional encoding `[B, N, C]`, absent without a fine stage.
+    pub(super) position: Option<Tensor<3>>,
+}
+
+/// A query's cloud and the reference's, both in units of the reference's radius.
+#[derive(Clone, Copy, Debug)]
+pub struct CloudPair<'a> {
+    pub query: &'a CloudInput,
+    pub reference: &'a CloudInput,
+    /// The reference's, metres.
+    pub radius: f32,
+}
+
+impl<'a> CloudPair<'a> {
+    pub fn new(query: &'a CloudInput, reference: &'a PreparedReference) -> Self {
+        Self { query, reference: &reference.cloud, radius: reference.radius }
+    }
+}
+
+impl EncodedReferences {
+    /// Several as one batch, in order; `None` for none.
+    pub fn batch(items: &[&Self]) -> Option<Self> {
+        fn joined<const D: usize>(tensors: impl Iterator<Item = Tensor<D>>) -> Tensor<D> {
+            Tensor::cat(tensors.collect(), 0)
+        }
+        let all = || items.iter();
+        let where_all_are = |tensor: fn(&Self) -> Option<Tensor<3>>| {
+            let tensors: Option<Vec<_>> = all().map(|item| tensor(item)).collect();
+            tensors.map(|tensors| joined(tensors.into_iter()))
+        };
+        (!items.is_empty()).then(|| Self {
+            features: CloudFeatures {
+                dense: joined(all().map(|item| item.features.dense.clone())),
+                embedding: joined(all().map(|item| item.features.embedding.clone())),
+                own: OwnLayers {
+                    coarse: where_all_are(|item| item.features.own.coarse.clone()),
+                    fine: where_all_are(|item| item.features.own.fine.clone()),
+                },
+            },
+            position: where_all_are(|item| item.position.clone()),
+        })
+    }
+
+    /// Size on the device.
+    pub fn bytes(&self) -> usize {
+        let CloudFeatures { dense, embedding, own } = &self.features;
+        let optional = [&self.position, &own.coarse, &own.fine].into_iter().flatten();
+        let numbers: usize = optional.map(|tensor| tensor.shape().num_elements()).sum();
+        4 * (numbers + dense.shape().num_elements() + embedding.shape().num_elements())
+    }
+}
+
+/// Runs the reference's share of the network.
+pub fn encode_references(
+    model: &UnoPose,
+    config: &ModelConfig,
+    references: &[&PreparedReference],
+    device: &Device,
+) -> EncodedReferences {
+    let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
+    let clouds = CloudTensors::from_clouds(&clouds, config, device);
+    let features = model.encode(&clouds);
+    with_positions(model, config, references, (&clouds, features), device)
+}
+
+/// Adds what the fine stage needs of the references.
+pub(super) fn with_positions(
+    model: &UnoPose,
+    config: &ModelConfig,
+    references: &[&PreparedReference],
+    (clouds, features): (&CloudTensors, CloudFeatures),
+    device: &Device,
+) -> EncodedReferences {
+    let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
+    let position = model
+        .fine_point_matching
+        .as_ref()
+        .map(|stage| stage.position(&group_tensors(&groups, config, device)));
+    EncodedReferences { features: model.with_own_layers(clouds, features, position.clone()), position }
+}

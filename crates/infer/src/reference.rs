@@ -1,0 +1,94 @@
+//! A reference view that is kept for its queries, and a store of many of them.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, OnceLock},
+};
+
+use unopose_pairs::data::CloudInput;
+
+use super::{CloudPair, EncodedReferences, IcpReference};
+
+/// A reference view, prepared and encoded once for any number of queries.
+pub struct Reference {
+    pub(super) cloud: CloudInput,
+    pub(super) radius: f32,
+    pub(super) encoded: EncodedReferences,
+    pub(super) points: Vec<[f32; 3]>,
+    pub(super) surface: OnceLock<Option<IcpReference>>,
+    pub(super) seconds: f64,
+}
+
+impl Reference {
+    /// All measured points of the masked view, metres, reference camera's frame.
+    pub fn points(&self) -> &[[f32; 3]] {
+        &self.points
+    }
+
+    /// The view as the network sees it.
+    pub fn cloud(&self) -> &CloudInput {
+        &self.cloud
+    }
+
+    /// Beside a query's cloud that was prepared against this reference.
+    pub fn pair<'a>(&'a self, query: &'a CloudInput) -> CloudPair<'a> {
+        CloudPair { query, reference: &self.cloud, radius: self.radius }
+    }
+
+    /// The surface for refinement, made on first use; `None` when the points make none.
+    pub fn surface(&self) -> Option<&IcpReference> {
+        self.surface.get_or_init(|| IcpReference::new(&self.points)).as_ref()
+    }
+
+    /// Largest distance of the sampled points to their mean, metres.
+    pub fn radius(&self) -> f32 {
+        self.radius
+    }
+
+    /// Seconds its preparation took.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    /// About the memory that keeping it takes.
+    pub fn bytes(&self) -> usize {
+        self.encoded.bytes()
+            + 12 * (self.points.len() + self.cloud.points.len())
+            + 4 * (self.cloud.rgb.len() + self.cloud.structure.angles.len())
+    }
+}
+
+/// Keeps the references used last.
+pub struct ReferenceCache<K> {
+    entries: BTreeMap<K, (u64, Arc<Reference>)>,
+    clock: u64,
+    bytes: usize,
+    capacity: usize,
+}
+
+impl<K: Ord + Copy> ReferenceCache<K> {
+    /// Holds at most `capacity` bytes, but always the reference asked for last.
+    pub fn new(capacity: usize) -> Self {
+        Self { entries: BTreeMap::new(), clock: 0, bytes: 0, capacity }
+    }
+
+    pub fn get(&mut self, key: K) -> Option<Arc<Reference>> {
+        self.clock += 1;
+        let (used, reference) = self.entries.get_mut(&key)?;
+        *used = self.clock;
+        Some(reference.clone())
+    }
+
+    pub fn put(&mut self, key: K, reference: Arc<Reference>) {
+        self.clock += 1;
+        self.bytes += reference.bytes();
+        if let Some((_, old)) = self.entries.insert(key, (self.clock, reference)) {
+            self.bytes -= old.bytes();
+        }
+        while self.bytes > self.capacity && self.entries.len() > 1 {
+            let oldest = self.entries.iter().min_by_key(|(_, (used, _))| *used).map(|(&key, _)| key);
+            let Some((_, old)) = oldest.and_then(|key| self.entries.remove(&key)) else { break };
+            self.bytes -= old.bytes();
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! References in files: what queries need of a reference view, so that it is prepared and encoded once for good.
+//!
+//! A safetensors file holds the sampled cloud, its colour features and positional encoding, and all measured points (for
+//! refinement and drawing). The structure embedding is made anew from the stored distances and angles, which take a
+//! small part of its size, and so are the stages' first layers. The metadata name the network; a file is refused by any
+//! other.
+
+use std::{collections::BTreeMap, path::Path, sync::OnceLock};
+
+use burn::tensor::{Tensor, TensorData};
+use unopose_core::geometry::StructureIndices;
+use unopose_nn::{checkpoint::TensorFile, model::CloudTensors};
+use unopose_pairs::data::CloudInput;
+
+use super::{EncodedReferences, InferError, PoseEstimator, Reference};
+
+/// What the metadata entry `kind` says.
+const KIND: &str = "unopose reference 1";
+
+impl PoseEstimator {
+    /// Writes a reference of this estimator to `path`, atomically.
+    pub fn save_reference(&self, reference: &Reference, path: &Path) -> Result<(), InferError> {
+        let cloud = &reference.cloud;
+        let (n, m) = (cloud.points.len(), cloud.sparse.len());
+        let side = self.config().image_size;
+        let StructureIndices { size, k, distances, angles } = &cloud.structure;
+        let host = |values: Vec<f32>, shape: &[usize]| TensorData::new(values, shape.to_vec());
+        let indices = |values: &[u32]| values.iter().map(|&i| i as f32).collect::<Vec<f32>>();
+        let read = |tensor: Tensor<3>, what| {
+            tensor.try_into_data().map(|data| data.convert::<f32>()).map_err(InferError::readback(what))
+        };
+        let mut tensors = BTreeMap::from([
+            ("radius".to_owned(), host(vec![reference.radius], &[1])),
+            ("center".to_owned(), host(cloud.center.to_vec(), &[3])),
+            ("measured".to_owned(), host(reference.points.concat(), &[reference.points.len(), 3])),
+            ("rgb".to_owned(), host(cloud.rgb.clone(), &[3, side, side])),
+            ("choose".to_owned(), host(indices(&cloud.choose), &[n])),
+            ("points".to_owned(), host(cloud.points.concat(), &[n, 3])),
+            ("sparse".to_owned(), host(indices(&cloud.sparse), &[m])),
+            ("distances".to_owned(), host(distances.clone(), &[*size, *size])),
+            ("angles".to_owned(), host(angles.clone(), &[*size, *size, *k])),
+            ("features".to_owned(), read(reference.encoded.features.dense.clone(), "colour features")?),
+        ]);
+        if let Some(position) = &reference.encoded.position {
+            tensors.insert("position".to_owned(), read(position.clone(), "positional encoding")?);
+        }
+        let metadata = BTreeMap::from([
+            ("kind".to_owned(), KIND.to_owned()),
+            ("network".to_owned(), self.network()?.to_owned()),
+            ("source".to_owned(), self.source().to_owned()),
+        ]);
+        Ok(TensorFile { tensors, metadata }.write(path)?)
+    }
+
+    /// Reads a reference that [`Self::save_reference`] wrote for the same network.
+    pub fn load_reference(&self, path: &Path) -> Result<Reference, InferError> {
+        let mut file = Fields { file: TensorFile::read(path)?, path };
+        file.check("kind", KIND)?;
+        file.check("network", self.network()?)?;
+        let config = self.config();
+        let (n, m, side) = (config.fine_points, config.coarse_points, config.image_size);
+        let (size, k) = (1 + m, config.geo_embedding.angle_k);
+        let measured = file.file.tensors.get("measured").map_or(0, |data| data.shape()[0]);
+        let choose = file.indices("choose", n, side * side)?;
+        let sparse = file.indices("sparse", m, n)?;
+        let cloud = CloudInput {
+            rgb: file.take("rgb", &[3, side, side])?,
+            choose,
+            points: rows(&file.take("points", &[n, 3])?),
+            sparse,
+            structure: StructureIndices {
+                size,
+                k,
+                distances: file.take("distances", &[size, size])?,
+                angles: file.take("angles", &[size, size, k])?,
+            },
+            center: rows(&file.take("center", &[3])?)[0],
+        };
+        let radius = file.take("radius", &[1])?[0];
+        let points = rows(&file.take("measured", &[measured, 3])?);
+        let features = file.take("features", &[1, n, config.color.out_dim()])?;
+        let width = config.fine.matching.hidden_dim;
+        let position = config.use_fine.then(|| file.take("position", &[1, n, width])).transpose()?;
+        let position = position.map(|position| self.tensor(position, [1, n, width]));
+        let tensors = CloudTensors::from_clouds(&[&cloud], config, &self.device);
+        let dense = self.tensor(features, [1, n, config.color.out_dim()]);
+        let features = self.model.encode_structure(&tensors, dense);
+        let features = self.model.with_own_layers(&tensors, features, position.clone());
+        let encoded = EncodedReferences { features, position };
+        Ok(Reference { cloud, radius, encoded, points, surface: OnceLock::new(), seconds: 0.0 })
+    }
+}
+
+/// A file whose tensors are taken out one by one.
+struct Fields<'a> {
+    file: TensorFile,
+    path: &'a Path,
+}
+
+impl Fields<'_> {
+    fn error(&self, field: &str, value: impl ToString, expected: impl ToString) -> InferError {
+        InferError::ReferenceFile {
+            path: self.path.to_owned(),
+            field: field.to_owned(),
+            value: value.to_string(),
+            expected: expected.to_string(),
+        }
+    }
+
+    fn check(&self, field: &str, expected: &str) -> Result<(), InferError> {
+        match self.file.metadata.get(field).map(String::as_str) {
+            Some(value) if value == expected => Ok(()),
+            value => Err(self.error(field, value.unwrap_or("absent"), expected)),
+        }
+    }
+
+    /// The values of a tensor of this shape.
+    fn take(&mut self, field: &str, shape: &[usize]) -> Result<Vec<f32>, InferError> {
+        let expected = format!("a tensor {shape:?}");
+        let data = self.file.tensors.remove(field).ok_or_else(|| self.error(field, "absent", &expected))?;
+        if data.shape()[..] != *shape {
+            return Err(self.error(field, format!("{:?}", data.shape()), expected));
+        }
+        data.try_into_vec::<f32>().map_err(|e| self.error(field, format!("{e:?}"), expected))
+    }
+
+    /// Whole numbers below `limit`.
+    fn indices(&mut self, field: &str, count: usize, limit: usize) -> Result<Vec<u32>, InferError> {
+        let values = self.take(field, &[count])?;
+        match values.iter().find(|&&v| v.fract() != 0.0 || !(0.0..limit as f32).contains(&v)) {
+            Some(value) => Err(self.error(field, value, format!("whole numbers below {limit}"))),
+            None => Ok(values.into_iter().map(|v| v as u32).collect()),
+        }
+    }
+}
+
+fn rows(values: &[f32]) -> Vec<[f32; 3]> {
+    values.as_chunks::<3>().0.to_vec()
+}

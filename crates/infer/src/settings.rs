@@ -1,0 +1,89 @@
+//! Settings of a [`PoseEstimator`] and what it says about itself.
+
+use std::sync::OnceLock;
+
+use unopose_core::config::{ModelConfig, Precision};
+use unopose_nn::{
+    device::{DeviceChoice, require_precision},
+    model::UnoPose,
+};
+
+use super::{Calibration, InferError, PoseEstimator, ReferenceColor, Refinement};
+
+impl PoseEstimator {
+    /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
+    pub fn untrained(self, seed: u64) -> Self {
+        let model = UnoPose::new(&self.config, seed, &self.device);
+        let source = format!("untrained network of {}", self.source);
+        Self { model, source, calibration: None, network: OnceLock::new(), ..self }
+    }
+
+    /// Number type of the network's products, single precision at first. Only the first conversion counts: digits that
+    /// one has taken away are gone.
+    pub fn with_precision(mut self, precision: Precision) -> Result<Self, InferError> {
+        require_precision(&self.device, precision)?;
+        self.model = self.model.in_precision(precision);
+        self.network = OnceLock::new();
+        Ok(self)
+    }
+
+    /// Seed of point sampling and hypotheses, 0 at first.
+    pub fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Refinement after the network, none at first.
+    pub fn with_refinement(mut self, refinement: Refinement) -> Self {
+        self.refinement = refinement;
+        self
+    }
+
+    /// The calibration of the confidence, at first the checkpoint's.
+    pub fn with_calibration(mut self, calibration: Option<Calibration>) -> Self {
+        self.calibration = calibration;
+        self
+    }
+
+    /// Probability below which an estimate is not confident, at first the calibration's.
+    pub fn with_min_confidence(mut self, min_confidence: Option<f64>) -> Self {
+        self.min_confidence = min_confidence;
+        self
+    }
+
+    /// Colours of the references, kept at first.
+    pub fn with_reference_color(mut self, reference_color: ReferenceColor) -> Self {
+        self.reference_color = reference_color;
+        self
+    }
+
+    pub fn reference_color(&self) -> ReferenceColor {
+        self.reference_color
+    }
+
+    pub fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_ref()
+    }
+
+    pub fn refinement(&self) -> Refinement {
+        self.refinement
+    }
+
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Where the weights come from.
+    pub fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// The backend in use.
+    pub fn backend(&self) -> DeviceChoice {
+        self.backend
+    }
+}

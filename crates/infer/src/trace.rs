@@ -1,0 +1,109 @@
+//! What the two stages computed of one pair, and the estimate that follows from it.
+
+use unopose_core::geometry::{CoarsePose, FinePose, Pose, fine_pose, nearest_distances};
+use unopose_pairs::data::{CloudInput, metric_pose};
+
+use super::{CloudPair, Evidence, Matched, PairEstimate, confidence::Support};
+
+/// Angle from which a hypothesis counts as another answer, degrees.
+const APART_DEG: f64 = 30.0;
+/// Distance to the reference (radii) up to which a query point fits, as in the fine stage.
+const FITTING_DISTANCE: f32 = 0.15;
+
+/// One pair's way through the network; poses and points in the matching frames (radii).
+#[derive(Clone, Debug)]
+pub struct PairTrace {
+    pub coarse: Matched,
+    pub coarse_pose: CoarsePose,
+    /// `None` without a fine stage.
+    pub fine: Option<FineTrace>,
+}
+
+/// The fine stage.
+#[derive(Clone, Debug)]
+pub struct FineTrace {
+    pub start: Pose,
+    pub matched: Matched,
+    pub solved: FinePose,
+}
+
+impl PairTrace {
+    /// From the coarse stage, and the fine stage's start and assignment.
+    pub(super) fn new(
+        &CloudPair { query, reference, .. }: &CloudPair<'_>,
+        (coarse, coarse_pose): (Matched, CoarsePose),
+        (start, fine): (Pose, Option<Matched>),
+    ) -> Self {
+        let fine = fine.map(|matched| FineTrace {
+            start,
+            solved: fine_pose(&matched.assignment, &query.points, &reference.points),
+            matched,
+        });
+        Self { coarse, coarse_pose, fine }
+    }
+
+    /// Pose and confidence.
+    pub fn estimate(&self, &CloudPair { query, reference, radius }: &CloudPair<'_>) -> PairEstimate {
+        let metric = |pose: &Pose| metric_pose(pose, query.center, reference.center, radius);
+        let (pose, score, matched) = match &self.fine {
+            Some(fine) => (fine.solved.pose, fine.solved.score, &fine.matched),
+            None => (self.coarse_pose.pose, self.coarse_confidence(query, reference), &self.coarse),
+        };
+        PairEstimate {
+            t_query_reference: metric(&pose),
+            score,
+            t_query_reference_coarse: metric(&self.coarse_pose.pose),
+            coarse_score: self.coarse_pose.score,
+            overlap: matched.mean_overlap(),
+            matched: matched.matched_share(),
+            evidence: self.evidence(query, &pose, score, matched),
+        }
+    }
+
+    fn evidence(&self, query: &CloudInput, pose: &Pose, score: f64, matched: &Matched) -> Evidence {
+        let start = self.fine.as_ref().map_or(&self.coarse_pose.pose, |fine| &fine.start);
+        let Support { mass, residual } = match &self.fine {
+            Some(fine) => Support::of(&fine.solved, &query.points),
+            None => Support::NONE,
+        };
+        let [overlap_query, overlap_reference] = matched.mean_overlap();
+        Evidence {
+            fit: score,
+            overlap_query,
+            overlap_reference,
+            matched: matched.matched_share(),
+            mass,
+            residual,
+            coarse_score: self.coarse_pose.score,
+            rival: self.rival(pose),
+            agreement_deg: pose.rotation_angle_deg(start),
+            points: 0,
+        }
+    }
+
+    /// Score of the best hypothesis that is turned against the pose, in shares of the winner's.
+    fn rival(&self, pose: &Pose) -> f64 {
+        let CoarsePose { hypotheses, kept, kept_scores, score, .. } = &self.coarse_pose;
+        let apart = |&(&h, _): &(&usize, &f64)| hypotheses[h].pose.rotation_angle_deg(pose) > APART_DEG;
+        let rival =
+            kept.iter().zip(kept_scores).filter(apart).map(|(_, &score)| score).max_by(f64::total_cmp);
+        rival.map_or(0.0, |rival| rival / score.max(1e-8)).min(1.0)
+    }
+
+    /// The fine stage's score (network page, section 6) on the coarse matches.
+    fn coarse_confidence(&self, query: &CloudInput, reference: &CloudInput) -> f64 {
+        let t_reference_query = self.coarse_pose.pose.inverse();
+        let moved: Vec<[f32; 3]> =
+            sparse_points(query).iter().map(|p| t_reference_query.transform_f32(p)).collect();
+        let distances = nearest_distances(&moved, &reference.points);
+        let labels = &self.coarse.assignment.label_query;
+        let near =
+            labels.iter().zip(&distances).filter(|&(&label, &d)| label > 0 && d < FITTING_DISTANCE).count();
+        near as f64 / labels.len().max(1) as f64
+    }
+}
+
+/// The points of a cloud that the coarse stage matches.
+pub fn sparse_points(cloud: &CloudInput) -> Vec<[f32; 3]> {
+    cloud.sparse.iter().map(|&i| cloud.points[i as usize]).collect()
+}

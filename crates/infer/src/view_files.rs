@@ -1,0 +1,145 @@
+//! An RGB-D view from its files, checked so that a message names the file that is wrong.
+
+use std::path::{Path, PathBuf};
+
+use unopose_core::frame::{Mask, RgbdFrame};
+use unopose_dataset::formats::{
+    FormatError,
+    camera::read_camera,
+    image_io::{read_depth, read_mask, read_rgb},
+};
+
+const COLOR_EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
+const DEPTH_EXTENSIONS: [&str; 3] = ["png", "tif", "tiff"];
+
+/// Files of one view.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ViewFiles {
+    pub rgb: PathBuf,
+    pub depth: PathBuf,
+    /// One mask per instance.
+    pub masks: Vec<PathBuf>,
+    /// `{cam_K, depth_scale}`.
+    pub camera: PathBuf,
+}
+
+/// A view in memory, with the masks in the order of the files.
+#[derive(Clone, Debug)]
+pub struct View {
+    pub frame: RgbdFrame,
+    pub masks: Vec<Mask>,
+}
+
+impl ViewFiles {
+    /// Reads everything; depth and masks must be as large as the colour image, masks not empty.
+    pub fn read(&self) -> Result<View, FormatError> {
+        let camera = read_camera(&self.camera)?;
+        let rgb = read_rgb(&self.rgb)?;
+        let depth = read_depth(&self.depth, camera.depth_scale)?;
+        let check = |path: &Path, field, width, height| {
+            let size = |(w, h)| format!("{w} x {h}");
+            if (width, height) == rgb.dimensions() {
+                return Ok(());
+            }
+            let expected = format!("{} like {}", size(rgb.dimensions()), self.rgb.display());
+            Err(FormatError::field(path.display(), field, size((width, height)), expected))
+        };
+        check(&self.depth, "depth image size", depth.width, depth.height)?;
+        let read = |path: &PathBuf| {
+            let mask = read_mask(path)?;
+            check(path, "mask size", mask.width, mask.height)?;
+            if mask.count() == 0 {
+                let expected = "at least one pixel of the object above 0";
+                return Err(FormatError::field(path.display(), "mask", "empty", expected));
+            }
+            Ok(mask)
+        };
+        let masks = self.masks.iter().map(read).collect::<Result<_, _>>()?;
+        Ok(View { frame: RgbdFrame { rgb, depth, intrinsics: camera.intrinsics }, masks })
+    }
+}
+
+/// The views of a folder `{rgb,depth,mask}/` by name, sorted: `rgb/NAME.png|jpg`, `depth/NAME.png|tif`, masks
+/// `mask/NAME.png` or, for several instances, `mask/NAME_*.png`. The camera is the folder's own `camera.json`, or else
+/// `camera`.
+pub fn query_folder(folder: &Path, camera: &Path) -> Result<Vec<(String, ViewFiles)>, FormatError> {
+    let own = folder.join("camera.json");
+    let camera = if own.is_file() { own } else { camera.to_path_buf() };
+    let colors = files_of(&folder.join("rgb"), &COLOR_EXTENSIONS)?;
+    let (depths, masks) = (folder.join("depth"), folder.join("mask"));
+    let depth_files = files_of(&depths, &DEPTH_EXTENSIONS)?;
+    let mask_files = files_of(&masks, &COLOR_EXTENSIONS)?;
+    if colors.is_empty() {
+        let hint = "expected rgb/NAME.png, depth/NAME.png, mask/NAME.png or mask/NAME_*.png";
+        return Err(FormatError::missing(folder.display(), "colour image", hint));
+    }
+    let names: Vec<&String> = colors.iter().map(|(name, _)| name).collect();
+    let view = |(name, rgb): &(String, PathBuf)| {
+        let depth = depth_files.iter().find(|(other, _)| other == name).map(|(_, path)| path.clone());
+        let depth = depth.ok_or_else(|| {
+            FormatError::missing(depths.display(), format!("{name}.{}", DEPTH_EXTENSIONS.join("|")), "")
+        })?;
+        // `a_1` may be an instance of `a`, or an image of its own.
+        let is_of = |mask: &String| {
+            mask == name
+                || (mask.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with('_'))
+                    && !names.contains(&mask))
+        };
+        let masks_of: Vec<PathBuf> =
+            mask_files.iter().filter(|(mask, _)| is_of(mask)).map(|(_, path)| path.clone()).collect();
+        if masks_of.is_empty() {
+            let missing = format!("{name}.png or {name}_*.png");
+            return Err(FormatError::missing(masks.display(), missing, ""));
+        }
+        Ok((name.clone(), ViewFiles { rgb: rgb.clone(), depth, masks: masks_of, camera: camera.clone() }))
+    };
+    colors.iter().map(view).collect()
+}
+
+/// Files of a folder by name without extension, sorted.
+fn files_of(folder: &Path, extensions: &[&str]) -> Result<Vec<(String, PathBuf)>, FormatError> {
+    let entries = std::fs::read_dir(folder).map_err(|e| FormatError::io(folder, e))?;
+    let mut files: Vec<(String, PathBuf)> = entries
+        .filter_map(|entry| {
+            let path = entry.ok()?.path();
+            let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+            let name = path.file_stem()?.to_str()?.to_owned();
+            (extensions.contains(&extension.as_str()) && path.is_file()).then_some((name, path))
+        })
+        .collect();
+    files.sort();
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_lists_views_with_their_instances() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for file in [
+            "rgb/a.png",
+            "rgb/a_2.jpg",
+            "depth/a.png",
+            "depth/a_2.png",
+            "mask/a_0.png",
+            "mask/a_1.png",
+            "mask/a_2.png",
+        ] {
+            std::fs::create_dir_all(at(file).parent().unwrap()).unwrap();
+            std::fs::write(at(file), b"").unwrap();
+        }
+        let views = query_folder(folder.path(), Path::new("k.json")).unwrap();
+        let names: Vec<&str> = views.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["a", "a_2"]);
+        assert_eq!(views[0].1.masks, [at("mask/a_0.png"), at("mask/a_1.png")]);
+        assert_eq!((&views[1].1.masks, &views[1].1.rgb), (&vec![at("mask/a_2.png")], &at("rgb/a_2.jpg")));
+        assert_eq!(views[0].1.camera, Path::new("k.json"));
+        std::fs::write(at("camera.json"), b"{}").unwrap();
+        std::fs::remove_file(at("depth/a_2.png")).unwrap();
+        let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();
+        assert!(message.contains("depth") && message.contains("a_2.png"), "{message}");
+    }
+}

@@ -1,0 +1,111 @@
+//! The safetensors file: named f32 arrays and string metadata.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::Write,
+    path::Path,
+};
+
+use burn::tensor::{DType, TensorData};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use unopose_core::files::write_atomic;
+
+use super::CheckpointError;
+
+/// Contents of a checkpoint file on the host.
+pub struct TensorFile {
+    pub tensors: BTreeMap<String, TensorData>,
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl TensorFile {
+    /// Reads all tensors as f32; other precisions are converted, with a warning in the log.
+    pub fn read(path: &Path) -> Result<Self, CheckpointError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// [`Self::read`] of a file that is already in memory; `path` is only for messages.
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
+        let format = |e: safetensors::SafeTensorError| CheckpointError::Format {
+            path: path.to_owned(),
+            message: e.to_string(),
+        };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
+        let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
+        let file = SafeTensors::deserialize(bytes).map_err(format)?;
+        let mut tensors = BTreeMap::new();
+        let mut converted: BTreeMap<String, usize> = BTreeMap::new();
+        for (name, view) in file.iter() {
+            tensors.insert(name.to_owned(), read_tensor(path, name, &view)?);
+            if view.dtype() != Dtype::F32 {
+                *converted.entry(format!("{:?}", view.dtype())).or_default() += 1;
+            }
+        }
+        for (dtype, count) in converted {
+            tracing::warn!("{}: {count} tensors converted from {dtype} to F32", path.display());
+        }
+        Ok(Self { tensors, metadata })
+    }
+
+    /// Writes the file in one rename: readers see the old file or the new one, never a part.
+    pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
+        let views: Vec<(&String, TensorView<'_>)> = self
+            .tensors
+            .iter()
+            .map(|(name, data)| {
+                let view = TensorView::new(Dtype::F32, data.shape().to_vec(), data.as_bytes());
+                view.map(|view| (name, view)).map_err(|e| CheckpointError::Tensor {
+                    path: path.to_owned(),
+                    name: name.clone(),
+                    message: e.to_string(),
+                })
+            })
+            .collect::<Result<_, _>>()?;
+        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        let bytes = safetensors::serialize(views, Some(metadata))
+            .map_err(|e| CheckpointError::Format { path: path.to_owned(), message: e.to_string() })?;
+        Ok(write_atomic(path, |writer| writer.write_all(&bytes))?)
+    }
+}
+
+fn read_tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<TensorData, CheckpointError> {
+    let dtype = match view.dtype() {
+        Dtype::F64 => DType::F64,
+        Dtype::F32 => DType::F32,
+        Dtype::F16 => DType::F16,
+        Dtype::BF16 => DType::BF16,
+        other => return Err(wrong_type(path, name, &format!("{other:?}"))),
+    };
+    as_f32(path, name, view.data().to_vec(), view.shape().to_vec(), dtype)
+}
+
+/// Stored bytes (little-endian) as finite f32.
+pub(super) fn as_f32(
+    path: &Path,
+    name: &str,
+    bytes: Vec<u8>,
+    shape: Vec<usize>,
+    dtype: DType,
+) -> Result<TensorData, CheckpointError> {
+    if !matches!(dtype, DType::F64 | DType::F32 | DType::F16 | DType::BF16) {
+        return Err(wrong_type(path, name, &format!("{dtype:?}")));
+    }
+    let error =
+        |message: String| CheckpointError::Tensor { path: path.to_owned(), name: name.to_owned(), message };
+    let data = TensorData::from_bytes_vec(bytes, shape, dtype).convert::<f32>();
+    match data.as_slice::<f32>() {
+        Ok(values) if values.iter().all(|v| v.is_finite()) => Ok(data),
+        Ok(_) => Err(error("contains NaN or infinity".into())),
+        Err(e) => Err(error(format!("{e:?}"))),
+    }
+}
+
+fn wrong_type(path: &Path, name: &str, dtype: &str) -> CheckpointError {
+    CheckpointError::Tensor {
+        path: path.to_owned(),
+        name: name.to_owned(),
+        message: format!("type is {dtype}, expected F32, F16, BF16 or F64"),
+    }
+}

@@ -1,0 +1,204 @@
+//! From a view and a mask to sampled points with their colour crop.
+
+use image::RgbImage;
+use rand::{Rng, seq::index};
+use rand_chacha::ChaCha8Rng;
+use unopose_core::{
+    config::ModelConfig,
+    frame::{Mask, RgbdFrame},
+    geometry::radius_about_mean,
+};
+
+use super::{
+    DataError,
+    color::recolor,
+    crop::{CropBox, normalised_resize},
+};
+
+/// Smallest plausible reference radius, metres.
+pub const MIN_RADIUS: f32 = 1e-3;
+/// Largest plausible reference radius, metres.
+pub const MAX_RADIUS: f32 = 5.0;
+/// An object needs more masked pixels than this.
+const MIN_PIXELS: usize = 8;
+/// Query points farther from their mean than this many reference radii are dropped.
+const QUERY_REACH: f64 = 1.2;
+
+/// Points sampled from a masked view, metres, camera frame.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    pub points: Vec<[f32; 3]>,
+    /// Index of every point in the `size x size` crop.
+    pub choose: Vec<u32>,
+    /// `[3, size, size]`.
+    pub rgb: Vec<f32>,
+}
+
+/// A masked view before sampling.
+struct MaskedView {
+    points: Vec<[f32; 3]>,
+    choose: Vec<u32>,
+    rgb: Vec<f32>,
+}
+
+/// How a view's pixels are taken.
+pub struct ViewRules {
+    /// Masked pixels without depth become the point (0, 0, 0) (quirk).
+    pub keep_zero_depth: bool,
+    /// Fewest points that may remain.
+    pub min_points: usize,
+    /// Stream of the colour changes before masking; `None` leaves the colours.
+    pub recolor: Option<ChaCha8Rng>,
+}
+
+/// Samples `config.reference_points` points of a reference view; also returns their radius.
+pub fn select_reference(
+    frame: &RgbdFrame,
+    mask: &Mask,
+    config: &ModelConfig,
+    rules: ViewRules,
+    rng: &mut impl Rng,
+) -> Result<(Selection, f32), DataError> {
+    let view = masked_view(frame, mask, config.image_size, rules)?;
+    let kept = near_the_median(&view.points, config.reference_reach as f64);
+    let selection = sample(view, &kept, config.reference_points, rng);
+    let (_, radius) = radius_about_mean(&selection.points);
+    check_radius(radius)?;
+    Ok((selection, radius))
+}
+
+/// Samples `config.fine_points` points of a query view near their mean; `radius` is the reference's.
+pub fn select_query(
+    frame: &RgbdFrame,
+    mask: &Mask,
+    radius: f32,
+    config: &ModelConfig,
+    rules: ViewRules,
+    rng: &mut impl Rng,
+) -> Result<Selection, DataError> {
+    check_radius(radius)?;
+    let minimum = rules.min_points;
+    let view = masked_view(frame, mask, config.image_size, rules)?;
+    let limit = QUERY_REACH * radius as f64;
+    let (mean, _) = radius_about_mean(&view.points);
+    let kept: Vec<u32> = view
+        .points
+        .iter()
+        .zip(0u32..)
+        .filter(|(p, _)| (0..3).map(|i| ((p[i] - mean[i]) as f64).powi(2)).sum::<f64>().sqrt() < limit)
+        .map(|(_, i)| i)
+        .collect();
+    if kept.len() < minimum {
+        return Err(DataError::TooFewPoints { count: kept.len(), total: view.points.len(), limit, minimum });
+    }
+    Ok(sample(view, &kept, config.fine_points, rng))
+}
+
+/// Indices of the points within `reach` median distances of the median point; all when `reach` is 0.
+fn near_the_median(points: &[[f32; 3]], reach: f64) -> Vec<u32> {
+    let all = 0..points.len() as u32;
+    if reach <= 0.0 || points.is_empty() {
+        return all.collect();
+    }
+    let median = |mut values: Vec<f64>| -> f64 {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let center: [f64; 3] = std::array::from_fn(|i| median(points.iter().map(|p| p[i] as f64).collect()));
+    let distance = |p: &[f32; 3]| (0..3).map(|i| (p[i] as f64 - center[i]).powi(2)).sum::<f64>().sqrt();
+    let distances: Vec<f64> = points.iter().map(distance).collect();
+    let limit = reach * median(distances.clone());
+    all.filter(|&i| distances[i as usize] <= limit).collect()
+}
+
+fn check_radius(radius: f32) -> Result<(), DataError> {
+    if (MIN_RADIUS..=MAX_RADIUS).contains(&radius) { Ok(()) } else { Err(DataError::Radius { radius }) }
+}
+
+fn masked_view(
+    frame: &RgbdFrame,
+    mask: &Mask,
+    size: usize,
+    rules: ViewRules,
+) -> Result<MaskedView, DataError> {
+    let (width, height) = (frame.width(), frame.height());
+    for (what, found_width, found_height) in
+        [("the mask", mask.width, mask.height), ("the depth image", frame.depth.width, frame.depth.height)]
+    {
+        if (found_width, found_height) != (width, height) {
+            return Err(DataError::Size { what, found_width, found_height, width, height });
+        }
+    }
+    let measured = |depth: f32| depth.is_finite() && depth > 0.0;
+    let usable: Vec<(u32, u32)> = mask
+        .pixels()
+        .filter(|&(col, row)| rules.keep_zero_depth || measured(frame.depth.get(col, row)))
+        .collect();
+    if usable.is_empty() {
+        let masked = mask.count();
+        return Err(if masked == 0 { DataError::EmptyMask } else { DataError::NoDepth { masked } });
+    }
+    let crop = tight_box(&usable).map(|b| CropBox::around(&b, width, height)).ok_or(DataError::EmptyMask)?;
+    let inside: Vec<((u32, u32), (u32, u32))> =
+        usable.iter().filter_map(|&(col, row)| Some(((col, row), crop.local(row, col)?))).collect();
+    if inside.len() <= MIN_PIXELS {
+        return Err(DataError::TooFewPixels { count: inside.len(), minimum: MIN_PIXELS });
+    }
+
+    let mut image = crop.cut(&frame.rgb);
+    if let Some(mut stream) = rules.recolor {
+        recolor(&mut image, &mut stream);
+    }
+    let mut masked = RgbImage::new(crop.side, crop.side);
+    let mut points = Vec::with_capacity(inside.len());
+    let mut choose = Vec::with_capacity(inside.len());
+    for ((col, row), (local_row, local_col)) in inside {
+        masked.put_pixel(local_col, local_row, *image.get_pixel(local_col, local_row));
+        let depth = Some(frame.depth.get(col, row)).filter(|&d| measured(d)).unwrap_or(0.0);
+        let p = frame.intrinsics.back_project(col as f64, row as f64, depth as f64);
+        points.push([p.x as f32, p.y as f32, p.z as f32]);
+        choose.push(crop.choose(local_row, local_col, size));
+    }
+    Ok(MaskedView { points, choose, rgb: normalised_resize(&masked, size) })
+}
+
+fn tight_box(pixels: &[(u32, u32)]) -> Option<unopose_core::frame::BoundingBox> {
+    let cols = || pixels.iter().map(|p| p.0);
+    let rows = || pixels.iter().map(|p| p.1);
+    Some(unopose_core::frame::BoundingBox {
+        col_min: cols().min()?,
+        col_max: cols().max()? + 1,
+        row_min: rows().min()?,
+        row_max: rows().max()? + 1,
+    })
+}
+
+/// `count` of the `kept` points, with replacement when there are not more than that.
+fn sample(view: MaskedView, kept: &[u32], count: usize, rng: &mut impl Rng) -> Selection {
+    let picks: Vec<usize> = if kept.len() <= count {
+        (0..count).map(|_| rng.random_range(0..kept.len())).collect()
+    } else {
+        index::sample(rng, kept.len(), count).into_vec()
+    };
+    let chosen = || picks.iter().map(|&i| kept[i] as usize);
+    Selection {
+        points: chosen().map(|i| view.points[i]).collect(),
+        choose: chosen().map(|i| view.choose[i]).collect(),
+        rgb: view.rgb,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stray_points_are_dropped_by_their_median_distances() {
+        let mut points: Vec<[f32; 3]> =
+            (0..100).map(|i| [0.001 * (i % 10) as f32, 0.001 * (i / 10) as f32, 0.7]).collect();
+        points.push([0.0, 0.0, 0.9]);
+        assert_eq!(near_the_median(&points, 3.0), (0..100).collect::<Vec<_>>());
+        assert_eq!(near_the_median(&points, 0.0).len(), 101);
+        assert!(near_the_median(&[], 3.0).is_empty());
+    }
+}

@@ -1,0 +1,4 @@
+//! Pairs of views as the network's inputs, and the classical registration of such pairs. No tensors.
+
+pub mod data;
+pub mod registration;

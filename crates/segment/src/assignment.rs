@@ -1,0 +1,101 @@
+//! From scores to detections: each proposal goes to the object it scores best for, then the proposals of an object that
+//! overlap a better one are dropped.
+
+use unopose_core::frame::BoundingBox;
+
+use super::Proposal;
+
+/// Proposals of one object whose boxes overlap more than this are the same instance.
+const BOX_OVERLAP: f64 = 0.25;
+/// Scores below this are no detection at all.
+const MIN_SCORE: f64 = 0.01;
+
+/// A proposal given to an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Assigned {
+    pub object: usize,
+    pub proposal: usize,
+    pub score: f64,
+}
+
+/// Detections by descending score; `scores` is `[objects][proposals]`.
+pub fn assign(proposals: &[Proposal], scores: &[Vec<f64>]) -> Vec<Assigned> {
+    let best = |proposal: usize| {
+        let of_objects = scores.iter().enumerate().filter_map(|(object, row)| {
+            let score = *row.get(proposal)?;
+            Some(Assigned { object, proposal, score })
+        });
+        of_objects.max_by(|a, b| a.score.total_cmp(&b.score).then(b.object.cmp(&a.object)))
+    };
+    let mut assigned: Vec<Assigned> =
+        (0..proposals.len()).filter_map(best).filter(|a| a.score >= MIN_SCORE).collect();
+    assigned.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.proposal.cmp(&b.proposal)));
+    let mut kept: Vec<Assigned> = Vec::new();
+    for candidate in assigned {
+        let bounds = &proposals[candidate.proposal].bounds;
+        let same = |other: &&Assigned| {
+            other.object == candidate.object
+                && box_iou(bounds, &proposals[other.proposal].bounds) > BOX_OVERLAP
+        };
+        if kept.iter().find(same).is_none() {
+            kept.push(candidate);
+        }
+    }
+    kept
+}
+
+/// Indices of boxes, given best first, that overlap no kept better one by more than `overlap`.
+pub fn suppressed(boxes: &[BoundingBox], overlap: f64) -> Vec<usize> {
+    let mut kept: Vec<usize> = Vec::new();
+    for (index, bounds) in boxes.iter().enumerate() {
+        if kept.iter().all(|&other| box_iou(bounds, &boxes[other]) <= overlap) {
+            kept.push(index);
+        }
+    }
+    kept
+}
+
+/// Intersection over union of two boxes.
+pub fn box_iou(a: &BoundingBox, b: &BoundingBox) -> f64 {
+    let side = |from: u32, to: u32| f64::from(to.saturating_sub(from));
+    let area = |b: &BoundingBox| side(b.col_min, b.col_max) * side(b.row_min, b.row_max);
+    let both = side(a.col_min.max(b.col_min), a.col_max.min(b.col_max))
+        * side(a.row_min.max(b.row_min), a.row_max.min(b.row_max));
+    let either = area(a) + area(b) - both;
+    if either > 0.0 { both / either } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use unopose_core::frame::Mask;
+
+    use super::*;
+
+    fn square(col: u32, side: u32) -> Proposal {
+        let mut mask = Mask::empty(40, 20);
+        for row in 0..side {
+            for c in col..col + side {
+                mask.data[(row * 40 + c) as usize] = true;
+            }
+        }
+        Proposal::new(mask, 1.0).unwrap()
+    }
+
+    #[test]
+    fn each_proposal_goes_to_its_best_object_once() {
+        // The first two overlap by 8 x 10 of 12 x 10: 2/3.
+        let proposals = [square(0, 10), square(2, 10), square(20, 10)];
+        let scores = [vec![0.9, 0.8, 0.3], vec![0.2, 0.7, 0.6]];
+        let found = assign(&proposals, &scores);
+        let expected = [
+            Assigned { object: 0, proposal: 0, score: 0.9 },
+            Assigned { object: 1, proposal: 2, score: 0.6 },
+        ];
+        assert_eq!(found, expected);
+        assert!((box_iou(&proposals[0].bounds, &proposals[1].bounds) - 80.0 / 120.0).abs() < 1e-12);
+        assert!(assign(&proposals, &[vec![0.0, 0.001, 0.009]]).is_empty());
+        let boxes = proposals.map(|p| p.bounds);
+        assert_eq!(suppressed(&boxes, 0.6), [0, 2]);
+        assert_eq!(suppressed(&boxes, 0.7), [0, 1, 2]);
+    }
+}

@@ -1,0 +1,97 @@
+//! The matcher that is chosen at run time.
+
+use std::path::Path;
+
+use unopose_core::frame::{MaskedView, RgbdFrame};
+use unopose_infer::PoseEstimator;
+
+use super::{DinoMatcher, DinoObject, GeometricMatcher, GeometricObject, Matcher, Proposal, SegmentError};
+
+/// Any of the matchers.
+pub enum AnyMatcher<'a> {
+    Geometric(GeometricMatcher<'a>),
+    Dino(Box<DinoMatcher>),
+}
+
+/// An object as one of them keeps it.
+pub enum AnyObject {
+    Geometric(Box<GeometricObject>),
+    Dino(DinoObject),
+}
+
+impl<'a> AnyMatcher<'a> {
+    /// By DINOv2 weights where there are any, else by the pose network's own checkpoint.
+    pub fn choose(descriptor: Option<&Path>, estimator: &'a PoseEstimator) -> Result<Self, SegmentError> {
+        Ok(match descriptor {
+            Some(path) => Self::Dino(Box::new(DinoMatcher::load(path, estimator.backend())?)),
+            None => Self::Geometric(GeometricMatcher { estimator }),
+        })
+    }
+}
+
+impl Matcher for AnyMatcher<'_> {
+    type Object = AnyObject;
+
+    fn name(&self) -> String {
+        match self {
+            Self::Geometric(matcher) => matcher.name(),
+            Self::Dino(matcher) => matcher.name(),
+        }
+    }
+
+    fn fingerprint(&self) -> String {
+        match self {
+            Self::Geometric(matcher) => matcher.fingerprint(),
+            Self::Dino(matcher) => matcher.fingerprint(),
+        }
+    }
+
+    fn instance_score(&self) -> f64 {
+        match self {
+            Self::Geometric(matcher) => matcher.instance_score(),
+            Self::Dino(matcher) => matcher.instance_score(),
+        }
+    }
+
+    fn object(&self, views: &[MaskedView]) -> Result<AnyObject, SegmentError> {
+        Ok(match self {
+            Self::Geometric(matcher) => AnyObject::Geometric(Box::new(matcher.object(views)?)),
+            Self::Dino(matcher) => AnyObject::Dino(matcher.object(views)?),
+        })
+    }
+
+    fn scores(
+        &self,
+        frame: &RgbdFrame,
+        proposals: &[Proposal],
+        objects: &[&AnyObject],
+    ) -> Result<Vec<Vec<f64>>, SegmentError> {
+        let other = || SegmentError::OtherMatcher { matcher: self.name() };
+        match self {
+            Self::Geometric(matcher) => {
+                let own: Option<Vec<_>> = objects.iter().map(|object| object.geometric()).collect();
+                matcher.scores(frame, proposals, &own.ok_or_else(other)?)
+            }
+            Self::Dino(matcher) => {
+                let own: Option<Vec<_>> = objects.iter().map(|object| object.dino()).collect();
+                matcher.scores(frame, proposals, &own.ok_or_else(other)?)
+            }
+        }
+    }
+}
+
+impl AnyObject {
+    fn geometric(&self) -> Option<&GeometricObject> {
+        match self {
+            Self::Geometric(object) => Some(object),
+            Self::Dino(_) => None,
+        }
+    }
+
+    fn dino(&self) -> Option<&DinoObject> {
+        match self {
+            Self::Dino(object) => Some(object),
+            Self::Geometric(_) => None,
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Which configuration a folder belongs to, and what in it was generated.
+
+use std::path::Path;
+
+use unopose_core::config::SynthConfig;
+use unopose_dataset::formats::{
+    FormatError,
+    files::{read_json, write_json},
+};
+
+use super::SynthError;
+
+const CONFIG_FILE: &str = "generation.json";
+/// Version of everything that decides a set's content besides the configuration. Files of the first version do not
+/// name it.
+const GENERATOR: u64 = 3;
+const GENERATOR_KEY: &str = "generator";
+
+/// The two kinds of sets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layout {
+    Shards,
+    Scenes,
+}
+
+impl Layout {
+    /// Subfolder that holds the images.
+    pub fn images(self) -> &'static str {
+        match self {
+            Layout::Shards => "train_pbr_web",
+            Layout::Scenes => "test",
+        }
+    }
+
+    /// End of the name of the file that is written last.
+    fn last_file(self) -> &'static str {
+        match self {
+            Layout::Shards => "_visib0_8_scene_im_inst_ids.json",
+            Layout::Scenes => "dets_gt.json",
+        }
+    }
+}
+
+/// Refuses values that cannot give images.
+pub(super) fn check(config: &SynthConfig) -> Result<(), SynthError> {
+    let error = |field, value: String, expected| Err(SynthError::Config { field, value, expected });
+    let counts = [
+        ("images", config.images),
+        ("images_per_shard", config.images_per_shard),
+        ("objects", config.objects),
+        ("objects_per_shard", config.objects_per_shard),
+        ("views_per_scene", config.views_per_scene),
+    ];
+    if let Some((field, value)) = counts.into_iter().find(|c| c.1 == 0) {
+        return error(field, value.to_string(), "at least 1");
+    }
+    if config.width < 16 || config.height < 16 || config.width > 8192 || config.height > 8192 {
+        return error(
+            "width x height",
+            format!("{} x {}", config.width, config.height),
+            "16..8192 pixels each",
+        );
+    }
+    if !(1..=8).contains(&config.supersampling) {
+        return error("supersampling", config.supersampling.to_string(), "1..8");
+    }
+    if !(32..=8192).contains(&config.texture_size) {
+        return error("texture_size", config.texture_size.to_string(), "32..8192 pixels");
+    }
+    if config.indirect_rays > 1024 {
+        return error("indirect_rays", config.indirect_rays.to_string(), "0..1024");
+    }
+    let shares = [
+        ("textureless", config.textureless),
+        ("tumbling", config.tumbling),
+        ("bins", config.bins),
+        ("shelves", config.shelves),
+        ("bins + shelves", config.bins + config.shelves),
+        ("mesh_share", config.mesh_share),
+        ("sensor.stereo", config.sensor.stereo),
+        ("sensor.stereo + sensor.time_of_flight", config.sensor.stereo + config.sensor.time_of_flight),
+    ];
+    if let Some((field, share)) = shares.into_iter().find(|s| !(0.0..=1.0).contains(&s.1)) {
+        return error(field, share.to_string(), "0..1");
+    }
+    if !(config.mesh_scale.is_finite() && config.mesh_scale > 0.0) {
+        return error("mesh_scale", config.mesh_scale.to_string(), "a finite number above 0 (metres)");
+    }
+    let ranges = [("diameter", config.diameter), ("camera.distance", config.camera.distance)];
+    for (field, [low, high]) in ranges {
+        if !(low > 0.0 && high >= low && high.is_finite()) {
+            return error(field, format!("[{low}, {high}]"), "0 < low <= high");
+        }
+    }
+    Ok(())
+}
+
+/// Notes the configuration in the folder, or refuses a folder of another one, of another layout or with foreign data.
+pub(super) fn claim(config: &SynthConfig, out: &Path, layout: Layout) -> Result<(), SynthError> {
+    let file = out.join(CONFIG_FILE);
+    let holds =
+        |folder: &str| std::fs::read_dir(out.join(folder)).is_ok_and(|mut entries| entries.next().is_some());
+    let other = if layout == Layout::Shards { Layout::Scenes } else { Layout::Shards };
+    let refuse = |difference: String| Err(SynthError::OtherConfig { folder: out.to_owned(), difference });
+    if holds(other.images()) {
+        return refuse(format!("it has {}/, this set writes {}/", other.images(), layout.images()));
+    }
+    if !file.is_file() {
+        if let Some(folder) = [layout.images(), "models", "models_eval"].into_iter().find(|f| holds(f)) {
+            return refuse(format!("there is {folder}/ without {CONFIG_FILE}"));
+        }
+        return note(config, &file);
+    }
+    let Some((found, generator)) = read(&file)? else {
+        return refuse(format!("{CONFIG_FILE} has fields that this version does not know"));
+    };
+    // Through JSON text: a number is compared as it is written.
+    if found != roundtrip(config, &file)? {
+        return refuse(difference(&found, config));
+    }
+    let finished = || {
+        let mut entries = std::fs::read_dir(out).into_iter().flatten().filter_map(Result::ok);
+        entries.any(|e| e.file_name().to_string_lossy().ends_with(layout.last_file()))
+    };
+    if generator != GENERATOR && !finished() {
+        return refuse(format!("version {generator} of the generator began it, this is version {GENERATOR}"));
+    }
+    Ok(())
+}
+
+/// The configuration that a generated folder was made with; `None` for other folders.
+pub(super) fn generated_by(out: &Path) -> Result<Option<SynthConfig>, FormatError> {
+    let file = out.join(CONFIG_FILE);
+    if !file.is_file() {
+        return Ok(None);
+    }
+    Ok(read(&file)?.map(|(config, _)| config))
+}
+
+/// Removes what a generation writes into a folder and nothing else.
+pub fn remove_generated(out: &Path) -> Result<(), SynthError> {
+    let error = |path: &Path| {
+        let path = path.to_owned();
+        move |source| SynthError::Io { path, source }
+    };
+    if !out.is_dir() {
+        return Ok(());
+    }
+    for folder in [Layout::Shards.images(), Layout::Scenes.images(), "models", "models_eval"] {
+        let folder = out.join(folder);
+        if folder.is_dir() {
+            std::fs::remove_dir_all(&folder).map_err(error(&folder))?;
+        }
+    }
+    let is_list = |name: &str| {
+        name.ends_with("_inst_ids.json")
+            || ["gso_models.json", "synth_models.json", "camera.json", "dets_gt.json", CONFIG_FILE]
+                .contains(&name)
+            || name.starts_with("test_targets_")
+            || name.starts_with("test_ref_targets_")
+    };
+    for entry in std::fs::read_dir(out).map_err(error(out))?.filter_map(Result::ok) {
+        let path = entry.path();
+        if path.is_file() && is_list(&entry.file_name().to_string_lossy()) {
+            std::fs::remove_file(&path).map_err(error(&path))?;
+        }
+    }
+    Ok(())
+}
+
+fn note(config: &SynthConfig, file: &Path) -> Result<(), SynthError> {
+    let mut value: serde_json::Value = read_text(&serde_json::to_string(config), file)?;
+    if let Some(map) = value.as_object_mut() {
+        map.insert(GENERATOR_KEY.into(), GENERATOR.into());
+    }
+    Ok(write_json(file, &value, true)?)
+}
+
+/// Configuration and generator; `None` when the configuration is one of another version.
+fn read(file: &Path) -> Result<Option<(SynthConfig, u64)>, FormatError> {
+    let mut value: serde_json::Value = read_json(file)?;
+    let generator = value.as_object_mut().and_then(|map| map.remove(GENERATOR_KEY));
+    let generator = generator.and_then(|g| g.as_u64()).unwrap_or(1);
+    Ok(serde_json::from_value(value).ok().map(|config| (config, generator)))
+}
+
+fn roundtrip(config: &SynthConfig, file: &Path) -> Result<SynthConfig, SynthError> {
+    read_text(&serde_json::to_string(config), file)
+}
+
+fn read_text<T: serde::de::DeserializeOwned>(
+    text: &serde_json::Result<String>,
+    file: &Path,
+) -> Result<T, SynthError> {
+    let invalid = |e: &dyn std::fmt::Display| SynthError::Io {
+        path: file.to_owned(),
+        source: std::io::Error::other(e.to_string()),
+    };
+    match text {
+        Ok(text) => serde_json::from_str(text).map_err(|e| invalid(&e)),
+        Err(e) => Err(invalid(e)),
+    }
+}
+
+/// First field in which two configurations differ.
+fn difference(found: &SynthConfig, wanted: &SynthConfig) -> String {
+    let fields = |config: &SynthConfig| match serde_json::to_value(config) {
+        Ok(serde_json::Value::Object(map)) => map,
+        _ => serde_json::Map::new(),
+    };
+    let (there, here) = (fields(found), fields(wanted));
+    let differing = here.iter().find(|(k, v)| there.get(k.as_str()) != Some(*v));
+    differing.map_or_else(
+        || "other fields".into(),
+        |(k, v)| {
+            format!("{k} is {} there and {v} here", there.get(k.as_str()).unwrap_or(&serde_json::Value::Null))
+        },
+    )
+}

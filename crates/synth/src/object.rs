@@ -1,0 +1,143 @@
+//! The objects of a set: procedural ones and meshes from a folder.
+
+use std::{
+    collections::BTreeSet,
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use rand_chacha::ChaCha8Rng;
+use unopose_core::{config::SynthConfig, geometry::Pose};
+use unopose_dataset::{
+    formats::{ModelInfo, ObjectSymmetries, SymmetryAxis},
+    mesh::TriangleMesh,
+    render::Finish,
+};
+
+use super::{
+    SynthError,
+    collision::{collision_hull, convex_parts},
+    mesh_folder::MeshFolder,
+    random::{Domain, Draw, stream},
+    shapes::{self, Family, Symmetry},
+    texture::{self, Look},
+};
+
+/// An object ready to be dropped and rendered.
+#[derive(Clone, Debug)]
+pub struct SynthObject {
+    /// 1-based.
+    pub obj_id: u32,
+    pub name: String,
+    pub mesh: Arc<TriangleMesh>,
+    pub finish: Finish,
+    /// Symmetries that colour and shape share.
+    pub symmetries: ObjectSymmetries,
+    /// Convex hull.
+    pub hull: Vec<Point3<f32>>,
+    /// Convex parts to collide with; empty where the hull is good enough.
+    pub parts: Vec<Vec<Point3<f32>>>,
+}
+
+impl SynthObject {
+    fn new(
+        obj_id: u32,
+        name: String,
+        mesh: TriangleMesh,
+        finish: Finish,
+        symmetries: ObjectSymmetries,
+    ) -> Self {
+        let hull = collision_hull(&mesh.vertices);
+        let parts = convex_parts(&mesh, &hull);
+        Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull, parts }
+    }
+
+    pub fn info(&self) -> ModelInfo {
+        let bounds = self.mesh.bounds();
+        ModelInfo {
+            diameter: self.mesh.diameter().into(),
+            min: Vector3::from(bounds.min).cast(),
+            size: Vector3::from(bounds.size()).cast(),
+            symmetries: self.symmetries.clone(),
+        }
+    }
+}
+
+/// Source of all objects of a set; an object depends only on the configuration and its id.
+#[derive(Clone, Debug)]
+pub struct ObjectLibrary {
+    config: SynthConfig,
+    folder: MeshFolder,
+    /// Ids of objects whose mesh file could not be used.
+    replaced: Arc<Mutex<BTreeSet<u32>>>,
+}
+
+impl ObjectLibrary {
+    pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
+        Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, replaced: Arc::default() })
+    }
+
+    /// Object `obj_id` (1-based). A mesh file that cannot be used is reported and replaced by a procedural object.
+    pub fn build(&self, obj_id: u32) -> SynthObject {
+        let mut shape_rng = stream(self.config.seed, Domain::Shape, obj_id.into());
+        let [low, high] = self.config.diameter;
+        let diameter = shape_rng.log_between(low, high);
+        if !self.folder.is_empty() && shape_rng.chance(self.config.mesh_share) {
+            // Every file is used before one comes again.
+            let file = self.folder.file(obj_id as usize);
+            match self.load_file(obj_id, file, diameter) {
+                Ok(object) => return object,
+                Err(error) => {
+                    tracing::warn!("object {obj_id}: {error}; a procedural object takes its place");
+                    self.replaced.lock().unwrap_or_else(PoisonError::into_inner).insert(obj_id);
+                }
+            }
+        }
+        self.procedural(obj_id, diameter, &mut shape_rng)
+    }
+
+    fn procedural(&self, obj_id: u32, diameter: f32, shape_rng: &mut ChaCha8Rng) -> SynthObject {
+        // Families take turns, so that small sets have all of them.
+        let family = Family::ALL[(obj_id as usize * 7 + self.config.seed as usize) % Family::ALL.len()];
+        let solid = shapes::build(family, diameter, shape_rng);
+        let mut look_rng = stream(self.config.seed, Domain::Look, obj_id.into());
+        let size = solid.mesh.bounds().size();
+        let look = Look::draw(size, self.config.textureless, solid.symmetry.continuous, &mut look_rng);
+        let mesh = texture::textured(&solid, &look, self.config.texture_size);
+        // A print or a coarse pattern tells the sides apart.
+        let symmetries = object_symmetries(&look.keep(solid.symmetry, &solid.parts));
+        SynthObject::new(obj_id, format!("{}_{obj_id:06}", family.name()), mesh, look.finish, symmetries)
+    }
+
+    fn load_file(&self, obj_id: u32, file: &Path, diameter: f32) -> Result<SynthObject, SynthError> {
+        let mesh = self.folder.load(file, &self.config, diameter)?;
+        let finish = Finish { roughness: 0.6, metallic: 0.0 };
+        let name = format!("{}_{obj_id:06}", self.folder.name(file));
+        Ok(SynthObject::new(obj_id, name, mesh, finish, ObjectSymmetries::default()))
+    }
+
+    /// How many objects had to be made up because their mesh file could not be used.
+    pub fn replaced(&self) -> usize {
+        self.replaced.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+}
+
+fn object_symmetries(symmetry: &Symmetry) -> ObjectSymmetries {
+    let rotation = |m: Matrix3<f64>| Pose::new(m, Vector3::zeros());
+    let about_z = |angle: f64| *Rotation3::from_axis_angle(&Vector3::z_axis(), angle).matrix();
+    let folds = if symmetry.continuous { 1 } else { symmetry.folds.max(1) };
+    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    let mut discrete = Vec::new();
+    for fold in 0..folds {
+        let turn = about_z(std::f64::consts::TAU * f64::from(fold) / f64::from(folds));
+        if fold > 0 {
+            discrete.push(rotation(turn));
+        }
+        if symmetry.flip {
+            discrete.push(rotation(turn * flip));
+        }
+    }
+    let axis = SymmetryAxis { axis: Vector3::z(), offset: Vector3::zeros() };
+    ObjectSymmetries { discrete, continuous: if symmetry.continuous { vec![axis] } else { Vec::new() } }
+}

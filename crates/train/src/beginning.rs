@@ -1,0 +1,28 @@
+//! What a new run begins with.
+
+use unopose_core::config::{ColorConfig, Config, VitConfig};
+use unopose_nn::{checkpoint, model::UnoPose};
+
+use super::{TrainError, options::TrainOptions};
+
+/// The weights that a new run begins with, where they are not random: those of `options.init`, else the backbone's.
+pub(super) fn weights(
+    config: &Config,
+    options: &TrainOptions,
+    random: &UnoPose,
+) -> Result<Option<UnoPose>, TrainError> {
+    if let Some(path) = &options.init {
+        let device = options.device.clone().autodiff();
+        return Ok(Some(checkpoint::load_weights(path, config, &device)?));
+    }
+    match &config.model.color {
+        ColorConfig::Vit(VitConfig { weights: Some(path), .. }) => {
+            Ok(Some(checkpoint::load_backbone(path, &config.model, random.clone())?))
+        }
+        ColorConfig::Vit(VitConfig { freeze: true, .. }) => {
+            tracing::warn!("the frozen vision transformer is random: model.color.weights names no backbone");
+            Ok(None)
+        }
+        _ => Ok(None),
+    }
+}

@@ -1,0 +1,170 @@
+//! `metrics.jsonl`: one JSON object per line and event, safe to append to after any interruption.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use unopose_core::files::write_atomic;
+
+use super::TrainError;
+
+/// A line of the journal.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    Step(StepRecord),
+    Validation(ValidationRecord),
+}
+
+/// One optimizer step.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepRecord {
+    /// Steps taken, this one included.
+    pub step: u64,
+    pub loss: f64,
+    pub learning_rate: f64,
+    /// Before clipping.
+    pub gradient_norm: f64,
+    /// Training time of all calls so far, seconds.
+    pub elapsed_s: f64,
+    /// Loss terms by name.
+    pub terms: std::collections::BTreeMap<String, f64>,
+}
+
+/// One validation.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ValidationRecord {
+    /// Steps taken before it.
+    pub step: u64,
+    pub elapsed_s: f64,
+    /// Pairs that were evaluated.
+    pub pairs: usize,
+    pub loss: f64,
+    /// Of the final pose, up to the object's symmetries.
+    pub median_rotation_deg: f64,
+    pub median_translation_m: f64,
+    /// Share of pairs within 5 degrees and 5 cm.
+    pub within_5deg_5cm: f64,
+    /// Share of pairs within 15 degrees.
+    pub within_15deg: f64,
+    /// BOP average recall (mean of the VSD, MSSD and MSPD recalls) when the objects' meshes are known.
+    pub average_recall: Option<f64>,
+    /// Shares of the coarse pose, before the fine stage.
+    pub coarse_within_15deg: f64,
+}
+
+impl Event {
+    pub fn step(&self) -> u64 {
+        match self {
+            Self::Step(record) => record.step,
+            Self::Validation(record) => record.step,
+        }
+    }
+}
+
+impl ValidationRecord {
+    /// What the best weights are chosen by: average recall, or the two shares; the loss decides between equals.
+    pub fn score(&self) -> f64 {
+        let poses = self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
+        poses - 1e-4 * self.loss.clamp(0.0, 100.0)
+    }
+
+    /// One line for people.
+    pub fn describe(&self) -> String {
+        let recall = self.average_recall.map(|ar| format!(", AR {ar:.3}")).unwrap_or_default();
+        format!(
+            "loss {:.3}, median {:.1} deg and {:.1} cm, {:.0} % within 5 deg/5 cm, {:.0} % within 15 deg{recall}",
+            self.loss,
+            self.median_rotation_deg,
+            100.0 * self.median_translation_m,
+            100.0 * self.within_5deg_5cm,
+            100.0 * self.within_15deg,
+        )
+    }
+}
+
+/// Appends events to the file.
+pub struct Journal {
+    path: PathBuf,
+    writer: BufWriter<File>,
+}
+
+impl Journal {
+    /// Opens the journal of a run that goes on after `step`: later lines and a torn last line are dropped. Returns
+    /// the events that remain.
+    pub fn open(path: &Path, step: u64) -> Result<(Self, Vec<Event>), TrainError> {
+        let io = |source| TrainError::Io { path: path.to_owned(), source };
+        let mut events = Self::read(path)?;
+        events.retain(|event| event.step() <= step);
+        write_atomic(path, |writer| {
+            events.iter().try_for_each(|event| {
+                serde_json::to_writer(&mut *writer, event)?;
+                writer.write_all(b"\n")
+            })
+        })?;
+        let file = OpenOptions::new().append(true).open(path).map_err(io)?;
+        Ok((Self { path: path.to_owned(), writer: BufWriter::new(file) }, events))
+    }
+
+    /// All complete lines; none when there is no file.
+    pub fn read(path: &Path) -> Result<Vec<Event>, TrainError> {
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
+        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    }
+
+    pub fn append(&mut self, event: &Event) -> Result<(), TrainError> {
+        let written = serde_json::to_writer(&mut self.writer, event)
+            .map_err(std::io::Error::from)
+            .and_then(|()| self.writer.write_all(b"\n"))
+            .and_then(|()| self.writer.flush());
+        written.map_err(|source| TrainError::Io { path: self.path.clone(), source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(step: u64) -> Event {
+        Event::Step(StepRecord {
+            step,
+            loss: 1.5,
+            learning_rate: 1e-3,
+            gradient_norm: 2.0,
+            elapsed_s: 3.0,
+            terms: [("coarse.info_nce.0".to_owned(), 0.5)].into(),
+        })
+    }
+
+    #[test]
+    fn resuming_drops_later_and_torn_lines() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let (mut journal, events) = Journal::open(&path, 0).unwrap();
+        assert!(events.is_empty());
+        for step in 1..=5 {
+            journal.append(&at(step)).unwrap();
+        }
+        journal.append(&Event::Validation(ValidationRecord { step: 3, ..Default::default() })).unwrap();
+        drop(journal);
+        let mut file = OpenOptions::new().append(true).open(&path).unwrap();
+        file.write_all(b"{\"event\":\"step\",\"st").unwrap();
+        drop(file);
+
+        let (mut journal, events) = Journal::open(&path, 3).unwrap();
+        assert_eq!(events.iter().map(Event::step).collect::<Vec<_>>(), [1, 2, 3, 3]);
+        assert_eq!(events[0], at(1));
+        journal.append(&at(4)).unwrap();
+        drop(journal);
+        let lines = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(lines.lines().count(), 5);
+        assert!(lines.ends_with('\n'));
+    }
+}

@@ -1,0 +1,135 @@
+//! One forward and backward pass, the batch's pairs shared out to the CPU's threads.
+//!
+//! Most of burn's operations run on one thread. Every thread therefore takes some of the pairs through a copy of the
+//! network of its own, and the gradients are summed in a fixed order. The positional encoding, whose batch norm looks
+//! at the whole batch and whose kernels use all threads, runs before them; its gradient is taken after them from what
+//! reached its output. So the result is that of the undivided batch up to the order of sums.
+//!
+//! The copies share no node of the autodiff tape: threads that did would wait for each other's locks.
+
+use std::thread;
+
+use burn::{
+    module::Module,
+    optim::GradientsParams,
+    tensor::{Device, Tensor},
+};
+use unopose_core::config::Config;
+use unopose_nn::{
+    device::is_host,
+    loss::{Losses, pair_losses},
+    model::{PairTensors, UnoPose},
+};
+use unopose_pairs::data::TrainSample;
+
+/// Name of the whole loss among its terms.
+pub const TOTAL: &str = "total";
+
+/// What a pass over a batch gives.
+pub struct Pass {
+    /// The whole loss `[1]` under [`TOTAL`], then every term per pair `[B]`, on the host.
+    pub losses: Vec<(String, Vec<f32>)>,
+    /// To be added up: the gradients of the mean loss, divided by the configured number of accumulated passes.
+    pub gradients: Vec<GradientsParams>,
+}
+
+/// Losses and gradients of `samples`. `model` must be on the autodiff `device`.
+pub fn pass(model: &UnoPose, config: &Config, samples: &[TrainSample], device: &Device) -> Pass {
+    let threads = if is_host(device) { rayon::current_num_threads() } else { 1 };
+    let positions = PairTensors::groups_of(samples, &config.model, device).map(|g| model.position(&g));
+    let size = samples.len().div_ceil(threads).max(1);
+    let parts = samples.chunks(size).enumerate().map(|(index, part)| {
+        let leaf = |position: &Option<Tensor<3>>| {
+            let own = position.as_ref()?.clone().inner().narrow(0, index * size, part.len());
+            Some(own.autodiff().require_grad())
+        };
+        Part {
+            model: model.clone().fork(device),
+            samples: part,
+            positions: positions.each_ref().map(leaf),
+            share: part.len() as f64 / samples.len() as f64,
+        }
+    });
+    let parts: Vec<Part<'_>> = parts.collect();
+    let passed: Vec<PassedPart> = thread::scope(|scope| {
+        if threads == 1 {
+            // On the caller's thread: a GPU's queue belongs to one.
+            return parts.into_iter().map(|part| part.pass(config, device)).collect();
+        }
+        let running: Vec<_> =
+            parts.into_iter().map(|part| scope.spawn(move || part.pass(config, device))).collect();
+        let joined = running.into_iter().map(|part| part.join());
+        joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+
+    let mut losses: Vec<(String, Vec<f32>)> = Vec::new();
+    let (mut gradients, mut at_positions) = (Vec::new(), [Vec::new(), Vec::new()]);
+    for part in passed {
+        for (index, (name, values)) in part.losses.into_iter().enumerate() {
+            match losses.get_mut(index) {
+                None => losses.push((name, values)),
+                Some((_, all)) if index == 0 => all.iter_mut().zip(values).for_each(|(a, v)| *a += v),
+                Some((_, all)) => all.extend(values),
+            }
+        }
+        gradients.push(part.gradients);
+        for (all, own) in at_positions.iter_mut().zip(part.positions) {
+            all.extend(own);
+        }
+    }
+    let linear = positions.into_iter().zip(at_positions).filter_map(|(position, gradients)| {
+        Some((position? * Tensor::cat(gradients, 0)).sum()) // its gradient is the one that arrived
+    });
+    if let Some(sum) = linear.reduce(|a, b| a + b) {
+        gradients.push(GradientsParams::from_grads(sum.backward(), model));
+    }
+    Pass { losses, gradients }
+}
+
+/// Some of a batch's pairs with a network of their own.
+struct Part<'a> {
+    model: UnoPose,
+    samples: &'a [TrainSample],
+    /// Leaves of the tape.
+    positions: [Option<Tensor<3>>; 2],
+    /// Of the batch.
+    share: f64,
+}
+
+struct PassedPart {
+    /// The share's contribution to the whole loss, then the terms.
+    losses: Vec<(String, Vec<f32>)>,
+    gradients: GradientsParams,
+    positions: [Option<Tensor<3>>; 2],
+}
+
+impl Part<'_> {
+    fn pass(self, config: &Config, device: &Device) -> PassedPart {
+        let batch = PairTensors::from_samples(self.samples, &config.model, device);
+        let computing = self.model.clone().in_precision(config.train.precision);
+        let outputs = computing.forward_matching(&batch, self.positions.clone());
+        let mut losses = pair_losses(&config.loss, &outputs, &batch);
+        losses.total = losses.total * self.share;
+        let values = on_host(&losses);
+        let mut gradients = (losses.total / config.train.accumulation as f64).backward();
+        PassedPart {
+            losses: values,
+            positions: self.positions.map(|position| position?.grad_remove(&mut gradients)),
+            gradients: GradientsParams::from_grads(gradients, &self.model),
+        }
+    }
+}
+
+/// One read from the device.
+fn on_host(losses: &Losses) -> Vec<(String, Vec<f32>)> {
+    let named: Vec<(&str, &Tensor<1>)> = std::iter::once((TOTAL, &losses.total))
+        .chain(losses.terms.iter().map(|(name, value)| (name.as_str(), value)))
+        .collect();
+    let all = Tensor::cat(named.iter().map(|(_, value)| (*value).clone().inner()).collect(), 0);
+    let all = all.into_data().convert::<f32>();
+    let mut flat = all.iter::<f32>();
+    named
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), flat.by_ref().take(value.dims()[0]).collect()))
+        .collect()
+}

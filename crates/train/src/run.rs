@@ -1,0 +1,272 @@
+//! The training loop.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use unopose_core::config::Config;
+use unopose_nn::{
+    checkpoint::{self, Meta},
+    device::require_precision,
+    model::UnoPose,
+};
+use unopose_pairs::data::{BatchStream, TrainSample};
+
+use super::{
+    TrainError, beginning,
+    datasets::Datasets,
+    failure, figures, folder,
+    journal::{Event, Journal, StepRecord, ValidationRecord},
+    optimization::Optimization,
+    options::{Ending, TrainOptions, TrainOutcome},
+    progress,
+    replicas::{self, Pass, TOTAL},
+    schedule::{Schedule, TimeBudget},
+    state::{self, Progress},
+    validation::Validation,
+};
+
+/// Trains, or goes on training, in `options.out`.
+pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
+    let begin = Instant::now();
+    require_precision(&options.device, config.train.precision)?;
+    folder::prepare(config, options)?;
+    if let Some(step) = folder::finished_step(config, &options.out)? {
+        let events = Journal::read(&options.out.join("metrics.jsonl"))?;
+        return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
+    }
+    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.interrupt)? else {
+        let step = state::read_progress(&options.out)?.map_or(0, |(step, _)| step);
+        return Ok(TrainOutcome { ending: Ending::Interrupted, step, validations: Vec::new() });
+    };
+    options.interrupt.training_begins();
+    Run::begin(config, options, datasets, begin)?.go()
+}
+
+struct Run<'a> {
+    config: &'a Config,
+    options: &'a TrainOptions,
+    datasets: Datasets,
+    validation: Validation,
+    optimization: Optimization<UnoPose>,
+    schedule: Schedule,
+    journal: Journal,
+    progress: Progress,
+    /// Beginning of the call.
+    begin: Instant,
+    /// Training time of earlier calls, seconds.
+    earlier_s: f64,
+    last_checkpoint: Instant,
+    last_validation: Instant,
+    validation_time: Duration,
+    validated_step: Option<u64>,
+}
+
+impl<'a> Run<'a> {
+    fn begin(
+        config: &'a Config,
+        options: &'a TrainOptions,
+        datasets: Datasets,
+        begin: Instant,
+    ) -> Result<Self, TrainError> {
+        let device = options.device.clone().autodiff();
+        let model = UnoPose::new(&config.model, config.seed, &device);
+        let mut optimization = Optimization::new(model, &config.train);
+        let progress = match state::restore(&options.out, &mut optimization, &config.model)? {
+            Some(progress) => progress,
+            None => {
+                if let Some(model) = beginning::weights(config, options, optimization.model())? {
+                    optimization = Optimization::new(model, &config.train);
+                }
+                Progress::default()
+            }
+        };
+        let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), optimization.step())?;
+        let validated_step = validations(&events).last().map(|v| v.step);
+        let validation = datasets.validation(config)?;
+        Ok(Self {
+            config,
+            options,
+            validation,
+            datasets,
+            optimization,
+            schedule: Schedule::new(&config.train),
+            journal,
+            earlier_s: progress.elapsed_s,
+            progress,
+            begin,
+            last_checkpoint: Instant::now(),
+            last_validation: Instant::now(),
+            validation_time: Duration::ZERO,
+            validated_step,
+        })
+    }
+
+    fn go(mut self) -> Result<TrainOutcome, TrainError> {
+        let train = &self.config.train;
+        let first_step = self.optimization.step();
+        if first_step == 0 && self.validated_step.is_none() {
+            self.validate()?;
+        }
+        let reserve = self.validation_time.mul_f64(1.3) + Duration::from_secs(3);
+        let training_begin = Instant::now();
+        let budget = self.options.time_limit.map(|limit| TimeBudget {
+            training: limit.saturating_sub(self.begin.elapsed()).saturating_sub(reserve),
+            first_step,
+        });
+        let sampler = self.datasets.training_sampler(self.config)?;
+        let mut batches = BatchStream::new(
+            Arc::new(sampler),
+            self.progress.next_pair,
+            train.batch_size,
+            workers(train.workers),
+            train.prefetch,
+        );
+        let mut bar = progress::Progress::new("training", first_step, train.steps)
+            .limited(budget.as_ref().map(|b| b.training));
+        let mut ending = Ending::Finished;
+        while self.optimization.step() < train.steps {
+            let enough = self.options.stop_at.is_some_and(|stop| self.optimization.step() >= stop);
+            if enough || self.options.interrupt.is_requested() {
+                ending = Ending::Interrupted;
+                break;
+            }
+            let elapsed = training_begin.elapsed();
+            if budget.as_ref().is_some_and(|b| b.used(elapsed) >= 1.0) {
+                ending = Ending::TimeUp;
+                break;
+            }
+            let step = self.optimization.step();
+            let (position, ramp) = match &budget {
+                Some(budget) => (budget.position(step, train.steps, elapsed), budget.ramp(elapsed)),
+                None => (step as f64, 1.0),
+            };
+            let record = self.step(&mut batches, ramp * self.schedule.learning_rate(position))?;
+            bar.set(record.step, &format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate));
+            self.journal.append(&Event::Step(record))?;
+            self.keep_up(&bar)?;
+        }
+        bar.finish();
+        self.end(ending)
+    }
+
+    /// Validation and checkpoints that have become due.
+    fn keep_up(&mut self, bar: &progress::Progress) -> Result<(), TrainError> {
+        let train = &self.config.train;
+        let step = self.optimization.step();
+        let minutes = self.last_validation.elapsed().as_secs_f64() / 60.0;
+        let due = step.is_multiple_of(train.validate_every)
+            || (train.validate_minutes > 0.0 && minutes >= train.validate_minutes);
+        if due && step < train.steps {
+            let record = self.validate()?;
+            bar.line(&format!("step {step}: {}", record.describe()));
+        }
+        if due || self.last_checkpoint.elapsed().as_secs_f64() >= train.checkpoint_seconds {
+            self.save()?;
+        }
+        Ok(())
+    }
+
+    fn end(mut self, ending: Ending) -> Result<TrainOutcome, TrainError> {
+        self.progress.finished = ending == Ending::Finished;
+        let step = self.optimization.step();
+        if ending != Ending::Interrupted && self.validated_step != Some(step) {
+            self.validate()?;
+        }
+        self.save()?;
+        let out = &self.options.out;
+        let events = Journal::read(&out.join("metrics.jsonl"))?;
+        figures::write_training_curves(&out.join("curves.svg"), &events)?;
+        if ending != Ending::Interrupted {
+            figures::write_pose_sheet(
+                &out.join("poses.png"),
+                &self.optimization.deployed(),
+                self.config,
+                &self.validation,
+                &self.options.device,
+            )?;
+        }
+        Ok(TrainOutcome { ending, step, validations: validations(&events) })
+    }
+
+    fn step(&mut self, batches: &mut BatchStream, learning_rate: f64) -> Result<StepRecord, TrainError> {
+        let train = &self.config.train;
+        let device = self.options.device.clone().autodiff();
+        let mut record = StepRecord { learning_rate, ..StepRecord::default() };
+        for _ in 0..train.accumulation {
+            let samples: Vec<TrainSample> =
+                batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
+            let Pass { losses, gradients } =
+                replicas::pass(self.optimization.model(), self.config, &samples, &device);
+            self.require_finite(&losses, &samples)?;
+            for (name, values) in &losses {
+                let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
+                *record.terms.entry(name.clone()).or_insert(0.0) += mean / train.accumulation as f64;
+            }
+            gradients.into_iter().for_each(|gradients| self.optimization.add(gradients));
+            self.progress.next_pair += samples.len() as u64;
+        }
+        record.loss = record.terms.remove(TOTAL).unwrap_or(f64::NAN);
+        record.gradient_norm = self.optimization.apply(learning_rate);
+        record.step = self.optimization.step();
+        record.elapsed_s = self.elapsed_s();
+        Ok(record)
+    }
+
+    /// A loss that is not finite ends the run with its batch in a file.
+    fn require_finite(
+        &self,
+        losses: &[(String, Vec<f32>)],
+        samples: &[TrainSample],
+    ) -> Result<(), TrainError> {
+        let bad = losses.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
+        let Some((term, value)) = bad else { return Ok(()) };
+        let step = self.optimization.step() + 1;
+        let batch = failure::save_batch(&self.options.out, step, samples, losses)?;
+        Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
+    }
+
+    fn validate(&mut self) -> Result<ValidationRecord, TrainError> {
+        let begin = Instant::now();
+        let model = self.optimization.deployed();
+        let mut record = self.validation.run(&model, self.config, &self.options.device)?;
+        record.step = self.optimization.step();
+        record.elapsed_s = self.elapsed_s();
+        self.journal.append(&Event::Validation(record.clone()))?;
+        if self.progress.best_score.is_none_or(|best| record.score() > best) {
+            self.progress.best_score = Some(record.score());
+            let meta = Meta { step: record.step, ..Meta::default() };
+            checkpoint::save(&self.options.out.join("best.safetensors"), &model, self.config, &meta)?;
+        }
+        self.validated_step = Some(record.step);
+        self.last_validation = Instant::now();
+        self.validation_time = begin.elapsed();
+        Ok(record)
+    }
+
+    fn save(&mut self) -> Result<(), TrainError> {
+        self.progress.elapsed_s = self.elapsed_s();
+        state::save(&self.options.out, &self.optimization, self.config, &self.progress)?;
+        self.last_checkpoint = Instant::now();
+        Ok(())
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.earlier_s + self.begin.elapsed().as_secs_f64()
+    }
+}
+
+/// Threads for data preparation.
+fn workers(configured: usize) -> usize {
+    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+    if configured == 0 { cores() } else { configured }
+}
+
+fn validations(events: &[Event]) -> Vec<ValidationRecord> {
+    let of = |event: &Event| match event {
+        Event::Validation(record) => Some(record.clone()),
+        Event::Step(_) => None,
+    };
+    events.iter().filter_map(of).collect()
+}

@@ -1,0 +1,8 @@
+//! Files, pairs and scores.
+
+mod config_files;
+mod eval_oracle;
+mod fixtures;
+mod formats_dev;
+mod pairs;
+mod timing;

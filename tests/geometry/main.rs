@@ -1,0 +1,5 @@
+//! Geometry on plain slices: reference tensors, invariances, timings.
+
+mod fixtures;
+mod properties;
+mod timing;

@@ -1,0 +1,10 @@
+//! The network against reference tensors, its losses, its switches.
+
+mod loss_fixtures;
+mod loss_terms;
+mod module_fixtures;
+mod network_fixtures;
+mod network_parts;
+mod overlap_modes;
+mod precision;
+mod quirks;

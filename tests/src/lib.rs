@@ -1,0 +1,26 @@
+//! What the tests of several crates use: where files are, reference tensors, small weights in foreign formats, and rendered
+//! views with known poses.
+
+pub mod backbone_files;
+pub mod ellipsoid_views;
+pub mod pytorch_file;
+pub mod reference_tensors;
+pub mod sam_case;
+pub mod tensor_fixture;
+pub mod test_device;
+
+use std::path::{Path, PathBuf};
+
+/// A file or folder of the shared folder. Tests that call this are ignored where the folder is absent (`build.rs`).
+pub fn shared(part: &str) -> PathBuf {
+    let folder =
+        option_env!("UNOPOSE_SHARED_FOLDER").expect("a test that needs the shared folder is not marked");
+    let path = Path::new(folder).join(part);
+    assert!(path.exists(), "{} is gone; set UNOPOSE_SHARED and build the tests again", path.display());
+    path
+}
+
+/// A committed fixture.
+pub fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
+}

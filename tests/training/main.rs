@@ -1,0 +1,5 @@
+//! Training and estimation as a whole.
+
+mod estimator;
+mod overfit;
+mod run;

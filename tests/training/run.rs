@@ -1,0 +1,156 @@
+//! Whole training runs at the smallest size: the loss falls, resuming is exact, failures are clean.
+
+use std::{path::Path, sync::Arc, time::Duration};
+
+use burn::tensor::Device;
+use unopose_core::config::Config;
+use unopose_nn::checkpoint::TensorFile;
+use unopose_train::{Ending, Event, Journal, TrainError, TrainOptions, train};
+
+fn config(overrides: &[&str]) -> Config {
+    let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
+    Config::embedded("smoke", &overrides).unwrap()
+}
+
+/// Options for a run in `folder/<name>`; all runs of a folder share the data.
+fn options(folder: &Path, name: &str) -> TrainOptions {
+    TrainOptions {
+        out: folder.join(name),
+        data_root: folder.join("data"),
+        init: None,
+        fresh: false,
+        time_limit: None,
+        stop_at: None,
+        device: Device::default(),
+        interrupt: Arc::default(),
+    }
+}
+
+fn bits(path: &Path) -> Vec<(String, Vec<u32>)> {
+    let file = TensorFile::read(path).unwrap();
+    let of = |data: &burn::tensor::TensorData| data.iter::<f32>().map(f32::to_bits).collect();
+    file.tensors.iter().map(|(name, data)| (name.clone(), of(data))).collect()
+}
+
+fn losses(run: &Path) -> Vec<f64> {
+    let events = Journal::read(&run.join("metrics.jsonl")).unwrap();
+    let of = |event: &Event| match event {
+        Event::Step(record) => Some(record.loss),
+        Event::Validation(_) => None,
+    };
+    events.iter().filter_map(of).collect()
+}
+
+#[test]
+fn the_loss_falls_and_a_second_call_says_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(&["train.steps=60"]);
+    let options = options(folder.path(), "run");
+    let outcome = train(&config, &options).unwrap();
+    assert_eq!((outcome.ending, outcome.step), (Ending::Finished, 60));
+    let losses = losses(&options.out);
+    assert_eq!(losses.len(), 60);
+    let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
+    let (first, last) = (mean(&losses[..10]), mean(&losses[50..]));
+    assert!(last < 0.9 * first, "mean loss of the first ten steps {first}, of the last ten {last}");
+    let validation: Vec<u64> = outcome.validations.iter().map(|v| v.step).collect();
+    assert_eq!(validation, [0, 20, 40, 60]);
+    assert!(outcome.validations[3].loss < outcome.validations[0].loss);
+
+    for file in ["best.safetensors", "last.safetensors", "curves.svg", "poses.png", "state-60/optimizer.bpk"]
+    {
+        assert!(options.out.join(file).exists(), "{file}");
+    }
+    let resolved = Config::load(&options.out.join("config.toml"), &[]).unwrap();
+    assert_eq!(resolved, config);
+    let weights = bits(&options.out.join("last.safetensors"));
+    let again = train(&config, &options).unwrap();
+    assert_eq!((again.ending, again.step), (Ending::AlreadyFinished, 60));
+    assert_eq!(bits(&options.out.join("last.safetensors")), weights);
+}
+
+#[test]
+fn an_interrupted_run_resumes_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(&["train.steps=12", "train.accumulation=2", "train.validate_every=5"]);
+    let whole = options(folder.path(), "whole");
+    train(&config, &whole).unwrap();
+
+    let mut parts = options(folder.path(), "parts");
+    parts.stop_at = Some(6);
+    let outcome = train(&config, &parts).unwrap();
+    assert_eq!((outcome.ending, outcome.step), (Ending::Interrupted, 6));
+    parts.stop_at = None;
+    assert_eq!(train(&config, &parts).unwrap().ending, Ending::Finished);
+
+    for file in ["last.safetensors", "best.safetensors", "state-12/average.safetensors"] {
+        assert_eq!(bits(&parts.out.join(file)), bits(&whole.out.join(file)), "{file}");
+    }
+    assert_eq!(losses(&parts.out), losses(&whole.out));
+}
+
+#[test]
+fn a_time_limit_ends_the_run_cleanly_at_a_small_learning_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(&["train.steps=1000000", "train.warmup_steps=100000"]);
+    let mut options = options(folder.path(), "run");
+    // Generates the data; the limit below is for training.
+    options.stop_at = Some(0);
+    train(&config, &options).unwrap();
+    options.stop_at = None;
+    options.time_limit = Some(Duration::from_secs(9));
+    let begin = std::time::Instant::now();
+    let outcome = train(&config, &options).unwrap();
+    assert_eq!(outcome.ending, Ending::TimeUp);
+    assert!(outcome.step > 0 && begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
+    assert_eq!(outcome.validations.last().unwrap().step, outcome.step);
+    let events = Journal::read(&options.out.join("metrics.jsonl")).unwrap();
+    let rates: Vec<f64> = events
+        .iter()
+        .filter_map(|e| if let Event::Step(record) = e { Some(record.learning_rate) } else { None })
+        .collect();
+    let peak = rates.iter().copied().fold(0.0, f64::max);
+    assert!(rates.last().unwrap() < &(0.2 * peak), "{rates:?}");
+}
+
+#[test]
+fn another_network_in_the_folder_is_refused_and_init_takes_its_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = options(folder.path(), "run");
+    options.stop_at = Some(2);
+    train(&config(&[]), &options).unwrap();
+    let other = config(&["model.coarse.temperature=0.2"]);
+    let error = train(&other, &options).unwrap_err();
+    assert!(
+        matches!(&error, TrainError::OtherModel { field, .. } if field == "model.coarse.temperature"),
+        "{error}"
+    );
+
+    let last = options.out.join("last.safetensors");
+    let mut tuned = self::options(folder.path(), "tuned");
+    tuned.init = Some(last.clone());
+    tuned.stop_at = Some(0);
+    train(&other, &tuned).unwrap();
+    assert_eq!(bits(&tuned.out.join("last.safetensors")), bits(&last));
+
+    options.fresh = true;
+    options.stop_at = Some(1);
+    assert_eq!(train(&other, &options).unwrap().step, 1);
+}
+
+#[test]
+fn a_loss_that_is_not_finite_stops_the_run_and_keeps_the_batch() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = options(folder.path(), "run");
+    options.stop_at = Some(3);
+    train(&config(&[]), &options).unwrap();
+    // A learning rate that blows the weights up within a few steps.
+    options.stop_at = None;
+    let error = train(&config(&["train.learning_rate=1e30"]), &options).unwrap_err();
+    let TrainError::NonFiniteLoss { step, batch, .. } = &error else { panic!("{error}") };
+    assert!(*step > 3 && batch.ends_with(format!("bad-batch-{step}.safetensors")), "{error}");
+    let file = TensorFile::read(batch).unwrap();
+    assert_eq!(file.tensors["1.query.points"].shape()[..], [96, 3]);
+    assert!(file.metadata.contains_key("0.t_query_reference"));
+    assert!(file.metadata.keys().any(|key| key.starts_with("loss.")));
+}
