@@ -82,7 +82,7 @@ fn sparse_to_dense_block_matches() {
             features,
             sparse_rows: Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &f.device),
             embedding: f.tensor(&format!("embed{side}")),
-            own: None,
+            attended: None,
         }
     });
     let (first, second) = block.forward(first, second);

@@ -12,7 +12,7 @@ use unopose_infer::{Uniforms, estimate_pairs};
 use unopose_nn::{
     checkpoint::load_official,
     loss::pair_losses,
-    model::{CloudTensors, PairTensors, Supervision, UnoPose},
+    model::{CloudTensors, EncodedCloud, PairTensors, Supervision, UnoPose},
 };
 use unopose_pairs::data::{
     CloudInput, PairKey, PreparedReference, TrainSample, positional_groups, query_from_points,
@@ -102,16 +102,12 @@ fn evaluation_matches_the_official_network() {
         let references: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
         let query = CloudTensors::from_clouds(&clouds, &config, &device);
         let reference = CloudTensors::from_clouds(&references, &config, &device);
-        let (query_features, reference_features) = (model.encode(&query), model.encode(&reference));
-        fixture.check("dense_fm", query_features.dense.clone(), 2e-5);
-        fixture.check("dense_fo", reference_features.dense.clone(), 2e-5);
-        fixture.check("geo_embedding_m", query_features.embedding.clone(), 4e-3);
-        fixture.check("geo_embedding_o", reference_features.embedding.clone(), 4e-3);
-        let coarse = model.coarse(
-            (&query, &query_features),
-            (&reference, &reference_features),
-            Supervision::LastBlock,
-        );
+        let (query, reference) = (model.encode(&query), model.encode(&reference));
+        fixture.check("dense_fm", query.dense.clone(), 2e-5);
+        fixture.check("dense_fo", reference.dense.clone(), 2e-5);
+        fixture.check("geo_embedding_m", query.embedding.clone(), 4e-3);
+        fixture.check("geo_embedding_o", reference.embedding.clone(), 4e-3);
+        let coarse = model.coarse(&query, &reference, Supervision::LastBlock);
         fixture.check("coarse_sim0", coarse[0].similarity.clone(), 3e-3);
         fixture.check("coarse_scores", Tensor::cat(coarse[0].overlap_probability().to_vec(), 1), 9e-5);
 
@@ -131,11 +127,9 @@ fn evaluation_matches_the_official_network() {
         let reference_position = stage.position(&groups(pairs.iter().map(|p| &p.1.groups).collect()));
         fixture.check("pe_m", query_position.clone(), 3e-2);
         fixture.check("pe_o", reference_position.clone(), 3e-2);
-        let fine = model.fine(
-            (&query, &query_features, query_position),
-            (&reference, &reference_features, reference_position),
-            Supervision::LastBlock,
-        );
+        let query = EncodedCloud { position: Some(query_position), ..query };
+        let reference = EncodedCloud { position: Some(reference_position), ..reference };
+        let fine = model.fine(&query, &reference, Supervision::LastBlock);
         fixture.check("fine_sim0", fine[0].similarity.clone(), 4e-2);
         fixture.check("fine_scores", Tensor::cat(fine[0].overlap_probability().to_vec(), 1), 3e-3);
 

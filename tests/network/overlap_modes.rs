@@ -7,7 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use unopose_core::config::{Config, ModelConfig, OverlapMode};
 use unopose_infer::host_assignments;
 use unopose_nn::model::{
-    BlockOutput, CoarseInput, CoarsePointMatching, FineInput, FinePointMatching, Initializer, Supervision,
+    BlockOutput, CoarsePointMatching, EncodedCloud, FinePointMatching, Initializer, SelfAttended, SparseRows,
+    Supervision,
 };
 
 /// Sparse and dense points of the query and of the reference.
@@ -21,43 +22,36 @@ fn random<const D: usize>(seed: u64, shape: [usize; D]) -> Tensor<D> {
 }
 
 fn coarse(config: &ModelConfig) -> BlockOutput {
-    let [query, reference] = coarse_inputs(config);
-    coarse_stage(config).forward(query, reference, Supervision::LastBlock).remove(0)
+    let [query, reference] = clouds(config);
+    coarse_stage(config).forward(&query, &reference, Supervision::LastBlock).remove(0)
 }
 
 fn fine(config: &ModelConfig) -> BlockOutput {
-    let [query, reference] = fine_inputs(config);
-    fine_stage(config).forward(query, reference, Supervision::LastBlock).remove(0)
+    let [query, reference] = clouds(config);
+    fine_stage(config).forward(&query, &reference, Supervision::LastBlock).remove(0)
 }
 
 fn coarse_stage(config: &ModelConfig) -> CoarsePointMatching {
     CoarsePointMatching::new(config, &mut Initializer::new(3, &Device::flex()))
 }
 
-fn coarse_inputs(config: &ModelConfig) -> [CoarseInput; 2] {
-    let width = config.geo_embedding.hidden_dim;
-    [0, 1].map(|k| CoarseInput {
-        features: random(10 + k as u64, [1, SPARSE[k], config.color.out_dim()]),
-        embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
-        own: None,
-    })
-}
-
 fn fine_stage(config: &ModelConfig) -> FinePointMatching {
     FinePointMatching::new(config, &mut Initializer::new(4, &Device::flex()))
 }
 
-fn fine_inputs(config: &ModelConfig) -> [FineInput; 2] {
+fn clouds(config: &ModelConfig) -> [EncodedCloud; 2] {
     let width = config.geo_embedding.hidden_dim;
-    [0, 1].map(|k| FineInput {
-        features: random(30 + k as u64, [1, DENSE[k], config.color.out_dim()]),
-        position: random(40 + k as u64, [1, DENSE[k], width]),
-        sparse_rows: Tensor::<1, Int>::from_data(
-            TensorData::new((0..=SPARSE[k] as i32).collect::<Vec<_>>(), [SPARSE[k] + 1]),
-            &Device::flex(),
-        ),
-        embedding: random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
-        own: None,
+    let rows = |count: usize| {
+        let rows = TensorData::new((0..count as i32).collect::<Vec<_>>(), [count]);
+        Tensor::<1, Int>::from_data(rows, &Device::flex())
+    };
+    [0, 1].map(|k| EncodedCloud {
+        position: Some(random(40 + k as u64, [1, DENSE[k], width])),
+        ..EncodedCloud::new(
+            random(30 + k as u64, [1, DENSE[k], config.color.out_dim()]),
+            random(20 + k as u64, [1, SPARSE[k] + 1, SPARSE[k] + 1, width]),
+            SparseRows { points: rows(SPARSE[k]), tokens: rows(SPARSE[k] + 1) },
+        )
     })
 }
 
@@ -120,16 +114,32 @@ fn the_paper_has_one_softmax_over_overlap_weighted_features() {
 }
 
 #[test]
-fn first_layers_that_are_known_already_change_nothing() {
+fn self_attention_computed_ahead_changes_nothing() {
     let config = Config::embedded("smoke", &[]).unwrap().model;
-    let [query, reference] = coarse_inputs(&config);
-    let kept = CoarseInput { own: Some(coarse_stage(&config).own(&reference)), ..reference };
-    let again = coarse_stage(&config).forward(query, kept, Supervision::LastBlock).remove(0);
+    let [query, reference] = clouds(&config);
+    let coarse_ahead = Some(coarse_stage(&config).self_attention(&reference));
+    let fine_ahead = fine_stage(&config).self_attention(&reference);
+    assert!(fine_ahead.is_some());
+    let kept =
+        EncodedCloud { attended: SelfAttended { coarse: coarse_ahead, fine: fine_ahead }, ..reference };
+    let again = coarse_stage(&config).forward(&query, &kept, Supervision::LastBlock).remove(0);
     assert_eq!(values(again.similarity), values(coarse(&config).similarity));
-
-    let [query, reference] = fine_inputs(&config);
-    let kept = FineInput { own: fine_stage(&config).own(reference.clone()), ..reference };
-    assert!(kept.own.is_some());
-    let again = fine_stage(&config).forward(query, kept, Supervision::LastBlock).remove(0);
+    let again = fine_stage(&config).forward(&query, &kept, Supervision::LastBlock).remove(0);
     assert_eq!(values(again.similarity), values(fine(&config).similarity));
+}
+
+#[test]
+fn rows_of_a_batch_begin_where_their_cloud_does() {
+    let config = Config::embedded("smoke", &[]).unwrap().model;
+    let [one, _] = clouds(&config);
+    let two = EncodedCloud::batch(&[&one, &one]).unwrap();
+    assert_eq!(two.dense.dims()[0], 2);
+    let rows = |tensor: Tensor<1, Int>| tensor.try_into_vec_as::<i64>().unwrap();
+    assert_eq!(rows(two.rows.points.clone()), [0, 1, 2, 3, 4, 9, 10, 11, 12, 13]);
+    assert_eq!(rows(two.rows.tokens.clone()), [0, 1, 2, 3, 4, 5, 10, 11, 12, 13, 14, 15]);
+    // Each of the two is matched as it is alone.
+    let alone = coarse_stage(&config).forward(&one, &one, Supervision::LastBlock).remove(0);
+    let both = coarse_stage(&config).forward(&two, &two, Supervision::LastBlock).remove(0);
+    let (alone, both) = (values(alone.similarity), values(both.similarity));
+    assert!(both.iter().zip(alone.iter().cycle()).all(|(a, b)| (a - b).abs() < 1e-5));
 }

@@ -81,7 +81,7 @@ fn sparse_tokens_are_shifted_past_the_background() {
         let config = model(|q| q.sparse_off_by_one = off_by_one);
         let cloud = reference(&config).cloud;
         let tensors = CloudTensors::from_clouds(&[&cloud, &cloud], &config, &Device::flex());
-        (tensors.sparse_tokens.try_into_vec_as::<i64>().unwrap(), cloud)
+        (tensors.rows.tokens.try_into_vec_as::<i64>().unwrap(), cloud)
     };
     let ((corrected, cloud), (release, _)) = (rows(false), rows(true));
     let tokens = cloud.points.len() as i64 + 1;

@@ -16,7 +16,9 @@ use unopose_dataset::{
     protocol::{TargetFiles, TargetList},
 };
 use unopose_eval::eval::{score_poses, write_poses};
-use unopose_infer::{Estimate, InferError, PoseEstimator, Query, Refinement, estimate_targets};
+use unopose_infer::{
+    Estimate, InferError, PoseEstimator, Query, Refinement, estimate_targets, experiment::ReferenceColor,
+};
 use unopose_nn::{checkpoint::TensorFile, device::DeviceChoice, model::UnoPose};
 use unopose_tests::ellipsoid_views::{EllipsoidViews, HALF_AXES};
 
@@ -151,7 +153,10 @@ fn a_target_list_becomes_a_table_and_scores() {
     let list = bop_folder(folder.path());
     let estimator = estimator(1);
     let mut seen = Vec::new();
-    let poses = estimate_targets(&estimator, &list, &mut |done, total| seen.push((done, total))).unwrap();
+    let poses = estimate_targets(&estimator, &list, ReferenceColor::Keep, &mut |done, total| {
+        seen.push((done, total))
+    })
+    .unwrap();
     assert_eq!(seen, [(0, 2), (1, 2), (2, 2)]);
     // Image 0: both objects, of object 1 only the confident detection. Image 1: the confident detection of object 2 is
     // empty and put aside, so that the best of the others is taken; object 1 has no detection.
@@ -168,7 +173,7 @@ fn a_target_list_becomes_a_table_and_scores() {
     assert_eq!(poses.results[2].time, -1.0);
     assert!((poses.mean_time_per_pair_s().unwrap() - poses.seconds / 3.0).abs() < 1e-12);
 
-    let again = estimate_targets(&self::estimator(1), &list, &mut |_, _| {}).unwrap();
+    let again = estimate_targets(&self::estimator(1), &list, ReferenceColor::Keep, &mut |_, _| {}).unwrap();
     let of = |poses: &[unopose_dataset::formats::PoseResult]| -> Vec<_> {
         poses.iter().map(|r| (r.score.to_bits(), r.t_camera_object)).collect()
     };

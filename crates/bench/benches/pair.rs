@@ -14,12 +14,10 @@ use unopose_core::{
     config::{ColorConfig, Config, ModelConfig, Precision},
     geometry::{coarse_pose, fine_pose, match_assignment},
 };
-use unopose_infer::{
-    CloudPair, EncodedReferences, Uniforms, encode_references, estimate_encoded, estimate_pairs,
-};
+use unopose_infer::{CloudPair, Uniforms, encode_references, estimate_encoded, estimate_pairs};
 use unopose_nn::{
     device::{DeviceChoice, keep_freed_memory, require_precision},
-    model::{CloudTensors, Supervision, UnoPose, group_tensors},
+    model::{CloudTensors, EncodedCloud, Supervision, UnoPose, group_tensors},
 };
 use unopose_pairs::data::{
     CloudInput, PreparedReference, positional_groups, query_from_points, reference_from_points,
@@ -135,7 +133,7 @@ fn main() -> anyhow::Result<()> {
     stages(&bench, &model, views);
 
     let encoded = encode_references(&model, &config, &[&reference], &device);
-    let again = |query: &CloudInput, reference: &PreparedReference, encoded: &EncodedReferences| {
+    let again = |query: &CloudInput, reference: &PreparedReference, encoded: &EncodedCloud| {
         estimate_encoded(
             &model,
             &config,
@@ -162,7 +160,7 @@ fn main() -> anyhow::Result<()> {
         .iter()
         .map(|(query, reference, radius, _)| CloudPair { query, reference, radius: *radius })
         .collect();
-    let encoded: Vec<&EncodedReferences> = kept.iter().map(|(.., encoded)| encoded).collect();
+    let encoded: Vec<&EncodedCloud> = kept.iter().map(|(.., encoded)| encoded).collect();
     let row = format!("**instance of {}, cached references**", batch.len());
     bench.row(&row, batch.len(), || {
         estimate_encoded(&model, &config, &batch, &encoded, Uniforms::Shared(0), &device)
@@ -181,14 +179,12 @@ fn stages(bench: &Bench, model: &UnoPose, views: Views<'_>) {
         .row("reference: prepare (host)", 1, || reference_from_points(&points, &choose, rgb.clone(), config));
     let (query, reference) = views.pair(0);
     let [q, p] = [&query, &reference.cloud].map(|cloud| CloudTensors::from_clouds(&[cloud], config, device));
-    bench.row("colour features, one image", 1, || {
-        model.feature_extraction.forward(q.images.clone(), &q.choose)
-    });
+    bench.row("colour features, one image", 1, || model.colors(&q.view));
     bench.row("structure embedding, one cloud", 1, || {
-        model.geo_embedding.forward(q.distances.clone(), q.angles.clone())
+        model.geo_embedding.forward(q.structure.distances.clone(), q.structure.angles.clone())
     });
-    let features = [&q, &p].map(|cloud| model.encode(cloud));
-    let coarse = || model.coarse((&q, &features[0]), (&p, &features[1]), Supervision::LastBlock).pop();
+    let [q, p] = [&q, &p].map(|cloud| model.encode(cloud));
+    let coarse = || model.coarse(&q, &p, Supervision::LastBlock).pop();
     bench.row("coarse matching", 1, coarse);
     let values = |tensor: Tensor<3>| tensor.try_into_vec_as::<f32>().unwrap_or_default();
     let ones = |count: usize| vec![1.0; count];
@@ -213,16 +209,9 @@ fn stages(bench: &Bench, model: &UnoPose, views: Views<'_>) {
         stage.position(&group_tensors(&[&groups], config, device))
     });
     let position = [&groups, &reference.groups].map(|g| stage.position(&group_tensors(&[g], config, device)));
-    let [at_query, at_reference] = position;
-    let fine = || {
-        model
-            .fine(
-                (&q, &features[0], at_query.clone()),
-                (&p, &features[1], at_reference.clone()),
-                Supervision::LastBlock,
-            )
-            .pop()
-    };
+    let [at_query, at_reference] = position.map(Some);
+    let (q, p) = (EncodedCloud { position: at_query, ..q }, EncodedCloud { position: at_reference, ..p });
+    let fine = || model.fine(&q, &p, Supervision::LastBlock).pop();
     bench.row("fine matching", 1, fine);
     let Some(block) = fine() else { return };
     let similarity = values(block.similarity);

@@ -6,10 +6,11 @@ use unopose_core::frame::{Mask, RgbdFrame};
 use unopose_nn::model::PixelChoice;
 use unopose_pairs::data::{MAX_RADIUS, prepare_query};
 
-use super::{InferError, PoseEstimator};
+use super::{
+    InferError, PoseEstimator,
+    streams::{self, stream},
+};
 
-/// Stream of the random numbers of one seed.
-const STREAM: u64 = 3;
 /// Views per forward pass.
 const BATCH: usize = 16;
 
@@ -21,7 +22,14 @@ impl PoseEstimator {
         masks: &[&Mask],
     ) -> Result<Vec<Option<Vec<f32>>>, InferError> {
         let prepare = |mask: &&Mask| {
-            prepare_query(frame, mask, MAX_RADIUS, &self.config, &mut self.stream(STREAM)).ok()
+            prepare_query(
+                frame,
+                mask,
+                MAX_RADIUS,
+                &self.config,
+                &mut stream(self.seed, streams::COLOR_POINTS),
+            )
+            .ok()
         };
         let prepared: Vec<_> = masks.par_iter().map(prepare).collect();
         let usable: Vec<_> = prepared.iter().flatten().collect();

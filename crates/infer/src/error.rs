@@ -6,8 +6,9 @@ use unopose_dataset::formats::FormatError;
 use unopose_nn::{checkpoint::CheckpointError, device::DeviceError};
 use unopose_pairs::data::DataError;
 
-/// Error of the `infer` room.
+/// Why a view, a pair or a reference file gives no pose.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum InferError {
     #[error("unusable reference: {0}")]
     Reference(#[source] DataError),
@@ -24,6 +25,8 @@ pub enum InferError {
     UnequalCounts { query: usize, reference: usize },
     #[error("the estimated pose is not finite, expected one: are the checkpoint's weights broken?")]
     NotFinite,
+    #[error("the network gave no result for this pair")]
+    Incomplete,
     #[error(
         "no checkpoint: looked for {}, and none is embedded in this build; name one with --checkpoint",
         looked.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")

@@ -7,23 +7,26 @@ use std::{
 };
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use unopose_core::{
     config::ModelConfig,
     frame::{Mask, RgbdFrame},
     geometry::Pose,
 };
-use unopose_nn::{checkpoint, device::DeviceChoice, model::UnoPose};
+use unopose_nn::{
+    checkpoint,
+    device::DeviceChoice,
+    model::{EncodedCloud, UnoPose},
+};
 use unopose_pairs::{
     data::{CloudInput, normalised_pose, prepare_query, prepare_reference},
     registration::icp::refine_with,
 };
 
 use super::{
-    Calibration, CloudPair, EncodedReferences, Estimate, Evidence, InferError, PairEstimate, PairTrace,
-    Query, Reference, ReferenceColor, Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
+    Calibration, CloudPair, Estimate, Evidence, InferError, PairEstimate, PairTrace, Query, Reference,
+    Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
+    streams::{self, stream},
     trace_encoded,
 };
 
@@ -33,11 +36,6 @@ const DEFAULT_CHECKPOINT: &str = "checkpoints/geo.safetensors";
 /// Largest batch of one forward pass, which bounds memory. A GPU gains from it; on the CPU only the colours of a few queries
 /// are computed together.
 const MAX_BATCH: usize = 8;
-
-/// Streams of the random numbers of one seed.
-const REFERENCE_STREAM: u64 = 1;
-const QUERY_STREAM: u64 = 2;
-const COLOR_STREAM: u64 = 3;
 
 /// Estimates poses of instances against reference views.
 #[derive(Debug)]
@@ -53,7 +51,6 @@ pub struct PoseEstimator {
     pub(super) calibration: Option<Calibration>,
     /// Replaces the calibration's threshold.
     pub(super) min_confidence: Option<f64>,
-    pub(super) reference_color: ReferenceColor,
     /// See [`PoseEstimator::network`].
     pub(super) network: OnceLock<String>,
 }
@@ -112,14 +109,8 @@ impl PoseEstimator {
             refinement: Refinement::None,
             calibration: None,
             min_confidence: None,
-            reference_color: ReferenceColor::Keep,
             network: OnceLock::new(),
         }
-    }
-
-    /// The configuration of the network.
-    pub fn model_config(&self) -> &ModelConfig {
-        &self.config
     }
 
     /// Checksums of the weights and of the configuration: equal for equal networks, wherever they come from.
@@ -141,10 +132,9 @@ impl PoseEstimator {
     /// Prepares and encodes a reference view of an object.
     pub fn reference(&self, frame: &RgbdFrame, mask: &Mask) -> Result<Reference, InferError> {
         let start = Instant::now();
-        let mut rng = self.stream(REFERENCE_STREAM);
-        let colored = self.reference_color.apply(frame, mask, &mut self.stream(COLOR_STREAM));
+        let mut rng = stream(self.seed, streams::REFERENCE_POINTS);
         let prepared =
-            prepare_reference(&colored, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
+            prepare_reference(frame, mask, &self.config, &mut rng).map_err(InferError::Reference)?;
         let encoded = encode_references(&self.model, &self.config, &[&prepared], &self.device);
         let reference = Reference {
             cloud: prepared.cloud,
@@ -181,23 +171,18 @@ impl PoseEstimator {
             .zip(&prepared)
             .filter_map(|(query, prepared)| prepared.as_ref().ok().map(|(cloud, t)| (query, cloud, *t)))
             .collect();
-        let mut estimates: Vec<Result<Estimate, InferError>> =
+        let estimates: Vec<Result<Estimate, InferError>> =
             usable.chunks(MAX_BATCH).flat_map(|chunk| self.estimate_chunk(chunk)).collect();
-        let mut in_order = estimates.drain(..);
-        prepared
-            .into_iter()
-            .map(|prepared| match prepared {
-                Ok(_) => in_order.next().unwrap_or(Err(InferError::NotFinite)),
-                Err(error) => Err(error),
-            })
-            .collect()
+        let mut estimates = estimates.into_iter();
+        let mut next = |_| estimates.next().unwrap_or(Err(InferError::Incomplete));
+        prepared.into_iter().map(|prepared| prepared.and_then(&mut next)).collect()
     }
 
     /// One instance with everything that led to its pose.
     pub fn trace(&self, query: &Query<'_>) -> Result<Trace, InferError> {
         let (cloud, prepare) = self.prepare(query)?;
         let (mut traces, times) = self.run(&[(query, &cloud, prepare)], None)?;
-        let stages = traces.pop().ok_or(InferError::NotFinite)?;
+        let stages = traces.pop().ok_or(InferError::Incomplete)?;
         let pair = stages.estimate(&query.reference.pair(&cloud));
         Ok(Trace { estimate: self.finish(query, prepare, pair, times)?, stages, cloud })
     }
@@ -215,7 +200,7 @@ impl PoseEstimator {
 
     fn prepare(&self, query: &Query<'_>) -> Result<(CloudInput, f64), InferError> {
         let start = Instant::now();
-        let mut rng = self.stream(QUERY_STREAM);
+        let mut rng = stream(self.seed, streams::QUERY_POINTS);
         let radius = query.reference.radius;
         let cloud = prepare_query(query.frame, query.mask, radius, &self.config, &mut rng);
         Ok((cloud.map_err(InferError::Query)?, start.elapsed().as_secs_f64()))
@@ -251,7 +236,7 @@ impl PoseEstimator {
     ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
         let pairs: Vec<CloudPair<'_>> =
             chunk.iter().map(|(query, cloud, _)| query.reference.pair(cloud)).collect();
-        let references: Vec<&EncodedReferences> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
+        let references: Vec<&EncodedCloud> = chunk.iter().map(|(q, ..)| &q.reference.encoded).collect();
         let uniforms = Uniforms::Shared(self.seed);
         trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }
@@ -268,14 +253,14 @@ impl PoseEstimator {
         if !pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
-        let points = query.frame.masked_points(query.mask);
         if let Some(settings) = self.refinement.settings()
             && let Some(surface) = query.reference.surface()
         {
+            let points = query.frame.masked_points(query.mask);
             pose = refine_with(&points, surface, &pose, &settings).t_query_reference;
         }
         let refine = start.elapsed().as_secs_f64();
-        let evidence = Evidence { points: points.len(), ..pair.evidence };
+        let evidence = Evidence { points: query.frame.measured_pixels(query.mask).count(), ..pair.evidence };
         let judge = |calibration: &Calibration| {
             calibration.judge(&evidence, self.min_confidence.unwrap_or(calibration.threshold))
         };
@@ -290,11 +275,5 @@ impl PoseEstimator {
             t_query_reference_coarse: pair.t_query_reference_coarse,
             timings: Timings { prepare, network, refine, total: prepare + network.total() + refine },
         })
-    }
-
-    pub(super) fn stream(&self, stream: u64) -> ChaCha8Rng {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        rng.set_stream(stream);
-        rng
     }
 }

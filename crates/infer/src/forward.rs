@@ -10,13 +10,16 @@ use unopose_core::{
 };
 use unopose_nn::{
     device::is_host,
-    model::{CloudFeatures, CloudTensors, Supervision, UnoPose, into_group_tensors},
+    model::{
+        CloudTensors, EncodedCloud, SparseRows, StructureTensors, Supervision, UnoPose, ViewTensors,
+        into_group_tensors,
+    },
 };
 use unopose_pairs::data::{CloudInput, PreparedReference, positional_groups};
 
 use super::{
-    CloudPair, EncodedReferences, InferError, Matched, PairEstimate, PairTrace, StageTimes, Uniforms,
-    host_assignments, pairs::with_positions, trace::sparse_points,
+    CloudPair, InferError, Matched, PairEstimate, PairTrace, StageTimes, Uniforms, host_assignments,
+    pairs::with_positions, trace::sparse_points,
 };
 
 /// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
@@ -39,13 +42,16 @@ pub fn estimate_pairs(
         let start = Instant::now();
         let references: Vec<&PreparedReference> = pairs.iter().map(|p| p.1).collect();
         let pairs: Vec<_> = pairs.iter().map(|(query, reference)| CloudPair::new(query, reference)).collect();
-        let [query, reference] = network.clouds(&pairs);
-        let [query_features, features] = model.encode_both(&query, &reference);
-        let encoded = with_positions(model, config, &references, (&reference, features), device);
-        let clouds = EncodedClouds { query, query_features, reference, references: &encoded };
+        let clouds = [
+            pairs.iter().map(|pair| pair.query).collect::<Vec<&CloudInput>>(),
+            pairs.iter().map(|pair| pair.reference).collect(),
+        ];
+        let [query, reference] = clouds.map(|clouds| CloudTensors::from_clouds(&clouds, config, device));
+        let [query, reference] = model.encode_both(&query, &reference);
+        let reference = with_positions(model, config, &references, reference, device);
         let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let sampling = Sampling { uniforms, first: estimates.len(), given: None };
-        let (traces, _) = network.match_encoded(&pairs, &clouds, sampling, times)?;
+        let (traces, _) = network.match_encoded(&pairs, query, &reference, sampling, times)?;
         estimates.extend(traces.iter().zip(&pairs).map(|(trace, pair)| trace.estimate(pair)));
     }
     Ok(estimates)
@@ -56,7 +62,7 @@ pub fn estimate_encoded(
     model: &UnoPose,
     config: &ModelConfig,
     pairs: &[CloudPair<'_>],
-    references: &[&EncodedReferences],
+    references: &[&EncodedCloud],
     uniforms: Uniforms<'_>,
     device: &Device,
 ) -> Result<(Vec<PairEstimate>, StageTimes), InferError> {
@@ -71,21 +77,13 @@ pub fn trace_encoded(
     model: &UnoPose,
     config: &ModelConfig,
     pairs: &[CloudPair<'_>],
-    references: &[&EncodedReferences],
+    references: &[&EncodedCloud],
     uniforms: Uniforms<'_>,
     given: Option<&[Pose]>,
     device: &Device,
 ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
     let network = Network { model, config, device };
     network.map_encoded(pairs, references, Sampling { uniforms, first: 0, given }, |trace, _| trace)
-}
-
-/// Both sides of the pairs, encoded.
-struct EncodedClouds<'a> {
-    query: CloudTensors,
-    query_features: CloudFeatures,
-    reference: CloudTensors,
-    references: &'a EncodedReferences,
 }
 
 /// How the fine stage gets its starts: from sampled hypotheses, or `given` ones.
@@ -112,32 +110,24 @@ struct Network<'a> {
 }
 
 impl Network<'_> {
-    /// Queries and references of the pairs.
-    fn clouds(&self, pairs: &[CloudPair<'_>]) -> [CloudTensors; 2] {
-        let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
-        let references: Vec<&CloudInput> = pairs.iter().map(|pair| pair.reference).collect();
-        [queries, references].map(|clouds| CloudTensors::from_clouds(&clouds, self.config, self.device))
-    }
-
     /// What `finish` makes of the pairs' traces; on the CPU of each as soon as it is there, since a trace holds the whole
     /// assignment (17 MB for 2048 points).
     fn map_encoded<T: Send>(
         &self,
         pairs: &[CloudPair<'_>],
-        references: &[&EncodedReferences],
+        references: &[&EncodedCloud],
         sampling: Sampling<'_>,
         finish: impl Fn(PairTrace, &CloudPair<'_>) -> T + Sync,
     ) -> Result<(Vec<T>, StageTimes), InferError> {
         if !is_host(self.device) {
             let start = Instant::now();
-            let Some(references) = EncodedReferences::batch(references) else {
+            let Some(reference) = EncodedCloud::batch(references) else {
                 return Ok((Vec::new(), StageTimes::default()));
             };
-            let [query, reference] = self.clouds(pairs);
-            let query_features = self.model.encode(&query);
-            let clouds = EncodedClouds { query, query_features, reference, references: &references };
+            let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
+            let query = self.model.encode(&CloudTensors::from_clouds(&queries, self.config, self.device));
             let times = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-            let (traces, times) = self.match_encoded(pairs, &clouds, sampling, times)?;
+            let (traces, times) = self.match_encoded(pairs, query, &reference, sampling, times)?;
             return Ok((
                 traces.into_iter().zip(pairs).map(|(trace, pair)| finish(trace, pair)).collect(),
                 times,
@@ -147,24 +137,22 @@ impl Network<'_> {
         for (pairs, references) in pairs.chunks(COLORS_ON_HOST).zip(references.chunks(COLORS_ON_HOST)) {
             let start = Instant::now();
             let queries: Vec<&CloudInput> = pairs.iter().map(|pair| pair.query).collect();
-            let (images, choose) = CloudTensors::views(&queries, self.config, self.device);
-            let colors = self.model.feature_extraction.forward(images, &choose);
+            let colors = self.model.colors(&ViewTensors::new(&queries, self.config, self.device));
             times.encode += start.elapsed().as_secs_f64();
             let (first, start) = (finished.len(), Instant::now());
             let matched: Vec<_> = pairs
                 .par_iter()
                 .zip(references)
                 .enumerate()
-                .map(|(index, (pair, references))| {
+                .map(|(index, (pair, &reference))| {
                     let start = Instant::now();
-                    let pairs = std::slice::from_ref(pair);
-                    let [query, reference] = self.clouds(pairs);
-                    let query_features =
-                        self.model.encode_structure(&query, colors.clone().narrow(0, index, 1));
-                    let clouds = EncodedClouds { query, query_features, reference, references };
+                    let structure = StructureTensors::new(&[pair.query], self.device);
+                    let rows = SparseRows::new(&[pair.query], self.config, self.device);
+                    let colors = colors.clone().narrow(0, index, 1);
+                    let query = self.model.encode_structure(&structure, &rows, colors);
                     let spent = StageTimes { encode: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-                    let sampling = sampling.of_pair(first + index);
-                    let (traces, spent) = self.match_encoded(pairs, &clouds, sampling, spent)?;
+                    let (pairs, sampling) = (std::slice::from_ref(pair), sampling.of_pair(first + index));
+                    let (traces, spent) = self.match_encoded(pairs, query, reference, sampling, spent)?;
                     Ok((traces.into_iter().map(|trace| finish(trace, pair)).collect::<Vec<T>>(), spent))
                 })
                 .collect::<Result<_, InferError>>()?;
@@ -182,16 +170,15 @@ impl Network<'_> {
     fn match_encoded(
         &self,
         pairs: &[CloudPair<'_>],
-        clouds: &EncodedClouds<'_>,
+        query: EncodedCloud,
+        reference: &EncodedCloud,
         Sampling { uniforms, first, given }: Sampling<'_>,
         mut times: StageTimes,
     ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
         let &Self { model, config, device } = self;
-        let EncodedClouds { query, query_features, reference, references } = clouds;
         let mut clock = Instant::now();
         let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
-        let mut coarse =
-            model.coarse((query, query_features), (reference, &references.features), Supervision::LastBlock);
+        let mut coarse = model.coarse(&query, reference, Supervision::LastBlock);
         let coarse = match coarse.pop() {
             Some(block) => host_assignments(block, config.overlap, config.quirks.score_split_at_reference)?,
             None => Vec::new(),
@@ -226,8 +213,8 @@ impl Network<'_> {
             Some(starts) => starts.to_vec(),
             None => initial.iter().map(|coarse| coarse.pose).collect(),
         };
-        let fine = match (&model.fine_point_matching, &references.position) {
-            (Some(stage), Some(reference_position)) => {
+        let fine = match &model.fine_point_matching {
+            Some(stage) => {
                 let groups: Vec<_> = pairs
                     .par_iter()
                     .zip(&starts)
@@ -239,14 +226,11 @@ impl Network<'_> {
                     })
                     .collect();
                 let groups = into_group_tensors(groups, config, device);
-                let mut blocks = model.fine(
-                    (query, query_features, stage.position(&groups)),
-                    (reference, &references.features, reference_position.clone()),
-                    Supervision::LastBlock,
-                );
+                let query = EncodedCloud { position: Some(stage.position(&groups)), ..query };
+                let mut blocks = model.fine(&query, reference, Supervision::LastBlock);
                 blocks.pop().map(|block| host_assignments(block, config.overlap, false)).transpose()?
             }
-            _ => None,
+            None => None,
         };
         times.fine = lap();
 

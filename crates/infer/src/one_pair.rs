@@ -19,8 +19,7 @@ impl PairEstimator for PoseEstimator {
     /// Of the network, the seed and the refinement.
     fn fingerprint(&self) -> String {
         let network = self.network().unwrap_or_default();
-        let (refinement, color) = (self.refinement().settings(), self.reference_color());
-        format!("{network} seed {} {refinement:?} {color}", self.seed())
+        format!("{network} seed {} {:?}", self.seed(), self.refinement().settings())
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
@@ -29,7 +28,7 @@ impl PairEstimator for PoseEstimator {
         let reference = self.reference(reference.frame, reference.mask).map_err(failed)?;
         let mask = std::slice::from_ref(query.mask);
         let estimate = PoseEstimator::estimate(self, &reference, query.frame, mask).pop();
-        let estimate = estimate.unwrap_or(Err(InferError::NotFinite)).map_err(failed)?;
+        let estimate = estimate.unwrap_or(Err(InferError::Incomplete)).map_err(failed)?;
         let seconds = start.elapsed().as_secs_f64();
         Ok(PairPose { t_query_reference: estimate.t_query_reference, score: estimate.score, seconds })
     }

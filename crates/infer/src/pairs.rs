@@ -1,8 +1,8 @@
 //! Prepared pairs, encoded references and the poses of pairs.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use unopose_core::{config::ModelConfig, geometry::Pose};
-use unopose_nn::model::{CloudFeatures, CloudTensors, OwnLayers, UnoPose, group_tensors};
+use unopose_nn::model::{CloudTensors, EncodedCloud, UnoPose, group_tensors};
 use unopose_pairs::data::{CloudInput, PreparedReference};
 
 use super::Evidence;
@@ -71,14 +71,6 @@ impl StageTimes {
     }
 }
 
-/// What the network computes of a reference (or a batch of them) without a query, on the device.
-#[derive(Clone, Debug)]
-pub struct EncodedReferences {
-    pub(super) features: CloudFeatures,
-    /// Positional encoding `[B, N, C]`, absent without a fine stage.
-    pub(super) position: Option<Tensor<3>>,
-}
-
 /// A query's cloud and the reference's, both in units of the reference's radius.
 #[derive(Clone, Copy, Debug)]
 pub struct CloudPair<'a> {
@@ -94,64 +86,28 @@ impl<'a> CloudPair<'a> {
     }
 }
 
-impl EncodedReferences {
-    /// Several as one batch, in order; `None` for none.
-    pub fn batch(items: &[&Self]) -> Option<Self> {
-        fn joined<const D: usize>(tensors: impl Iterator<Item = Tensor<D>>) -> Tensor<D> {
-            Tensor::cat(tensors.collect(), 0)
-        }
-        let all = || items.iter();
-        let where_all_are = |tensor: fn(&Self) -> Option<Tensor<3>>| {
-            let tensors: Option<Vec<_>> = all().map(|item| tensor(item)).collect();
-            tensors.map(|tensors| joined(tensors.into_iter()))
-        };
-        (!items.is_empty()).then(|| Self {
-            features: CloudFeatures {
-                dense: joined(all().map(|item| item.features.dense.clone())),
-                embedding: joined(all().map(|item| item.features.embedding.clone())),
-                own: OwnLayers {
-                    coarse: where_all_are(|item| item.features.own.coarse.clone()),
-                    fine: where_all_are(|item| item.features.own.fine.clone()),
-                },
-            },
-            position: where_all_are(|item| item.position.clone()),
-        })
-    }
-
-    /// Size on the device.
-    pub fn bytes(&self) -> usize {
-        let CloudFeatures { dense, embedding, own } = &self.features;
-        let optional = [&self.position, &own.coarse, &own.fine].into_iter().flatten();
-        let numbers: usize = optional.map(|tensor| tensor.shape().num_elements()).sum();
-        4 * (numbers + dense.shape().num_elements() + embedding.shape().num_elements())
-    }
-}
-
-/// Runs the reference's share of the network.
+/// Runs the reference's share of the network: everything that looks at no query.
 pub fn encode_references(
     model: &UnoPose,
     config: &ModelConfig,
     references: &[&PreparedReference],
     device: &Device,
-) -> EncodedReferences {
+) -> EncodedCloud {
     let clouds: Vec<&CloudInput> = references.iter().map(|r| &r.cloud).collect();
-    let clouds = CloudTensors::from_clouds(&clouds, config, device);
-    let features = model.encode(&clouds);
-    with_positions(model, config, references, (&clouds, features), device)
+    let encoded = model.encode(&CloudTensors::from_clouds(&clouds, config, device));
+    with_positions(model, config, references, encoded, device)
 }
 
-/// Adds what the fine stage needs of the references.
+/// Adds what the fine stage needs of the references, and the layers that can be computed ahead.
 pub(super) fn with_positions(
     model: &UnoPose,
     config: &ModelConfig,
     references: &[&PreparedReference],
-    (clouds, features): (&CloudTensors, CloudFeatures),
+    encoded: EncodedCloud,
     device: &Device,
-) -> EncodedReferences {
+) -> EncodedCloud {
     let groups: Vec<_> = references.iter().map(|r| &r.groups).collect();
-    let position = model
-        .fine_point_matching
-        .as_ref()
-        .map(|stage| stage.position(&group_tensors(&groups, config, device)));
-    EncodedReferences { features: model.with_own_layers(clouds, features, position.clone()), position }
+    let stage = model.fine_point_matching.as_ref();
+    let position = stage.map(|stage| stage.position(&group_tensors(&groups, config, device)));
+    model.with_self_attention(EncodedCloud { position, ..encoded })
 }

@@ -5,15 +5,16 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
+use unopose_nn::model::EncodedCloud;
 use unopose_pairs::data::CloudInput;
 
-use super::{CloudPair, EncodedReferences, IcpReference};
+use super::{CloudPair, IcpReference};
 
 /// A reference view, prepared and encoded once for any number of queries.
 pub struct Reference {
     pub(super) cloud: CloudInput,
     pub(super) radius: f32,
-    pub(super) encoded: EncodedReferences,
+    pub(super) encoded: EncodedCloud,
     pub(super) points: Vec<[f32; 3]>,
     pub(super) surface: OnceLock<Option<IcpReference>>,
     pub(super) seconds: f64,

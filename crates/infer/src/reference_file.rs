@@ -9,10 +9,13 @@ use std::{collections::BTreeMap, path::Path, sync::OnceLock};
 
 use burn::tensor::{Tensor, TensorData};
 use unopose_core::geometry::StructureIndices;
-use unopose_nn::{checkpoint::TensorFile, model::CloudTensors};
+use unopose_nn::{
+    checkpoint::TensorFile,
+    model::{EncodedCloud, SparseRows, StructureTensors},
+};
 use unopose_pairs::data::CloudInput;
 
-use super::{EncodedReferences, InferError, PoseEstimator, Reference};
+use super::{InferError, PoseEstimator, Reference};
 
 /// What the metadata entry `kind` says.
 const KIND: &str = "unopose reference 1";
@@ -39,7 +42,7 @@ impl PoseEstimator {
             ("sparse".to_owned(), host(indices(&cloud.sparse), &[m])),
             ("distances".to_owned(), host(distances.clone(), &[*size, *size])),
             ("angles".to_owned(), host(angles.clone(), &[*size, *size, *k])),
-            ("features".to_owned(), read(reference.encoded.features.dense.clone(), "colour features")?),
+            ("features".to_owned(), read(reference.encoded.dense.clone(), "colour features")?),
         ]);
         if let Some(position) = &reference.encoded.position {
             tensors.insert("position".to_owned(), read(position.clone(), "positional encoding")?);
@@ -82,11 +85,11 @@ impl PoseEstimator {
         let width = config.fine.matching.hidden_dim;
         let position = config.use_fine.then(|| file.take("position", &[1, n, width])).transpose()?;
         let position = position.map(|position| self.tensor(position, [1, n, width]));
-        let tensors = CloudTensors::from_clouds(&[&cloud], config, &self.device);
-        let dense = self.tensor(features, [1, n, config.color.out_dim()]);
-        let features = self.model.encode_structure(&tensors, dense);
-        let features = self.model.with_own_layers(&tensors, features, position.clone());
-        let encoded = EncodedReferences { features, position };
+        let structure = StructureTensors::new(&[&cloud], &self.device);
+        let rows = SparseRows::new(&[&cloud], config, &self.device);
+        let colors = self.tensor(features, [1, n, config.color.out_dim()]);
+        let encoded = self.model.encode_structure(&structure, &rows, colors);
+        let encoded = self.model.with_self_attention(EncodedCloud { position, ..encoded });
         Ok(Reference { cloud, radius, encoded, points, surface: OnceLock::new(), seconds: 0.0 })
     }
 }

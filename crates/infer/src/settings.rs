@@ -3,21 +3,11 @@
 use std::sync::OnceLock;
 
 use unopose_core::config::{ModelConfig, Precision};
-use unopose_nn::{
-    device::{DeviceChoice, require_precision},
-    model::UnoPose,
-};
+use unopose_nn::device::{DeviceChoice, require_precision};
 
-use super::{Calibration, InferError, PoseEstimator, ReferenceColor, Refinement};
+use super::{Calibration, InferError, PoseEstimator, Refinement};
 
 impl PoseEstimator {
-    /// The same network with weights drawn anew from a seed: what training has to beat. Without a calibration.
-    pub fn untrained(self, seed: u64) -> Self {
-        let model = UnoPose::new(&self.config, seed, &self.device);
-        let source = format!("untrained network of {}", self.source);
-        Self { model, source, calibration: None, network: OnceLock::new(), ..self }
-    }
-
     /// Number type of the network's products, single precision at first. Only the first conversion counts: digits that
     /// one has taken away are gone.
     pub fn with_precision(mut self, precision: Precision) -> Result<Self, InferError> {
@@ -49,16 +39,6 @@ impl PoseEstimator {
     pub fn with_min_confidence(mut self, min_confidence: Option<f64>) -> Self {
         self.min_confidence = min_confidence;
         self
-    }
-
-    /// Colours of the references, kept at first.
-    pub fn with_reference_color(mut self, reference_color: ReferenceColor) -> Self {
-        self.reference_color = reference_color;
-        self
-    }
-
-    pub fn reference_color(&self) -> ReferenceColor {
-        self.reference_color
     }
 
     pub fn config(&self) -> &ModelConfig {

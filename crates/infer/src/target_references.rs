@@ -5,7 +5,12 @@ use std::{collections::BTreeMap, sync::Arc};
 use unopose_core::geometry::Pose;
 use unopose_dataset::formats::BopSplit;
 
-use super::{InferError, PoseEstimator, Reference, reference::ReferenceCache};
+use super::{
+    InferError, PoseEstimator, Reference,
+    experiment::ReferenceColor,
+    reference::ReferenceCache,
+    streams::{self, stream},
+};
 
 /// Memory for references that may be used again.
 const CACHE_BYTES: usize = 1 << 30;
@@ -17,6 +22,7 @@ pub type ReferenceKey = (u32, u32, u32);
 pub struct TargetReferences<'a> {
     estimator: &'a PoseEstimator,
     split: &'a BopSplit,
+    color: ReferenceColor,
     cache: ReferenceCache<ReferenceKey>,
     /// Why a view cannot be used.
     unusable: BTreeMap<ReferenceKey, String>,
@@ -29,9 +35,10 @@ pub struct TargetReferences<'a> {
 pub type PosedReference = (Arc<Reference>, Pose);
 
 impl<'a> TargetReferences<'a> {
-    pub fn new(estimator: &'a PoseEstimator, split: &'a BopSplit) -> Self {
+    /// None so far; the network will see them with these colours.
+    pub fn new(estimator: &'a PoseEstimator, split: &'a BopSplit, color: ReferenceColor) -> Self {
         let cache = ReferenceCache::new(CACHE_BYTES);
-        Self { estimator, split, cache, unusable: BTreeMap::new(), made: 0, seconds: 0.0 }
+        Self { estimator, split, color, cache, unusable: BTreeMap::new(), made: 0, seconds: 0.0 }
     }
 
     /// The most visible instance of the object in the image. The inner error is about the view's content; absent
@@ -47,6 +54,8 @@ impl<'a> TargetReferences<'a> {
             return Ok(Ok((reference, t_reference_object)));
         }
         let (frame, mask) = (scene.frame(im_id)?, scene.mask_visib(im_id, index)?);
+        let mut rng = stream(self.estimator.seed, streams::SHUFFLED_COLORS);
+        let frame = self.color.apply(&frame, &mask, &mut rng);
         match self.estimator.reference(&frame, &mask) {
             Ok(reference) => {
                 self.made += 1;

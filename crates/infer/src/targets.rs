@@ -17,14 +17,16 @@ use unopose_pairs::data::DataError;
 
 use super::{
     InferError, PoseEstimator, Query,
+    experiment::ReferenceColor,
     target_references::{PosedReference, ReferenceKey, TargetReferences},
 };
 
 /// Estimates all targets, image by image: the instances of an image are one batch. A target with several references
-/// takes, for each detection, the pose with the best score. `progress` is called with the images done and all images.
+/// takes, for each detection, the pose with the best score. `color` is [`ReferenceColor::Keep`] but for experiments. `progress` is called with the images done and all images.
 pub fn estimate_targets(
     estimator: &PoseEstimator,
     list: &TargetList,
+    color: ReferenceColor,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<TargetPoses, InferError> {
     let mut detections: HashMap<(u32, u32, u32), Vec<&Detection>> = HashMap::new();
@@ -40,7 +42,7 @@ pub fn estimate_targets(
     }
     let mut run = Run {
         estimator,
-        references: TargetReferences::new(estimator, list.reference_split()),
+        references: TargetReferences::new(estimator, list.reference_split(), color),
         poses: TargetPoses::default(),
     };
     let total = images.len();

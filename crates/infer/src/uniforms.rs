@@ -1,7 +1,8 @@
 //! Streams of the random numbers that sample hypotheses.
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::Rng;
+
+use super::streams;
 
 /// Where the uniform numbers that sample the hypotheses come from.
 #[derive(Clone, Copy, Debug)]
@@ -19,11 +20,10 @@ impl Uniforms<'_> {
     pub(super) fn stream(&self, index: usize) -> impl FnMut() -> f32 {
         let (seed, stream) = match self {
             Self::Seed(seed) => (*seed, index as u64),
-            Self::Shared(seed) => (*seed, 0),
+            Self::Shared(seed) => (*seed, streams::HYPOTHESES),
             Self::Given(_) => (0, 0),
         };
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(stream);
+        let mut rng = streams::stream(seed, stream);
         let mut given = match self {
             Self::Seed(_) | Self::Shared(_) => None,
             Self::Given(lists) => Some(lists.get(index).into_iter().flatten().copied()),

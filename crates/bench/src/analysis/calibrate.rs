@@ -7,12 +7,16 @@ use unopose_eval::{
     eval::Reliability,
     report::{Curve, Panel, write_curves},
 };
-use unopose_infer::{Calibration, RightPose};
+use unopose_infer::{Calibration, PoseCriterion};
 
 use super::{AnalysisError, PairRecord};
 
 /// Fits a calibration. `data` says what the pairs are.
-pub fn calibrate(records: &[PairRecord], right: RightPose, data: &str) -> Result<Calibration, AnalysisError> {
+pub fn calibrate(
+    records: &[PairRecord],
+    right: PoseCriterion,
+    data: &str,
+) -> Result<Calibration, AnalysisError> {
     let observed: Vec<_> = records.iter().map(|record| (record.evidence, record.right)).collect();
     Calibration::fit(&observed, right, data).ok_or_else(|| AnalysisError::TooFewOutcomes {
         pairs: records.len(),

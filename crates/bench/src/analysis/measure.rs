@@ -114,7 +114,7 @@ pub fn measure(
             &cloud.points,
             &reference.points,
             &t_reference_query,
-            estimator.model_config(),
+            estimator.config(),
         ),
     })
 }

@@ -22,7 +22,7 @@ pub struct PairRecord {
     pub evidence: Evidence,
     /// Calibrated, where the network has a calibration.
     pub probability: Option<f64>,
-    /// Whether the network's pose is right, as [`RightPose`](unopose_infer::RightPose) defines it.
+    /// Whether the network's pose is right, as [`PoseCriterion`](unopose_infer::PoseCriterion) defines it.
     pub right: bool,
     /// The target's part in the average recall, of the network's pose and of the refined one.
     pub credit: f64,

@@ -12,7 +12,9 @@ use unopose_dataset::{
     protocol::TargetList,
 };
 use unopose_eval::eval::{EvalObject, PoseErrors, TestView};
-use unopose_infer::{InferError, PoseEstimator, Query, RightPose, TargetReferences};
+use unopose_infer::{
+    InferError, PoseCriterion, PoseEstimator, Query, TargetReferences, experiment::ReferenceColor,
+};
 
 use super::{AnalysisError, PairRecord, measure, measure::Truth};
 
@@ -24,7 +26,7 @@ const VSD_DELTA: f64 = 0.015;
 pub fn analyse(
     estimator: &PoseEstimator,
     list: &TargetList,
-    right: RightPose,
+    right: PoseCriterion,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<PairRecord>, AnalysisError> {
     let objects = EvalObject::load_all(&list.dataset, list.targets.iter().map(|t| t.obj_id))?;
@@ -39,7 +41,7 @@ pub fn analyse(
     }
     let mut targets: Vec<&ReferenceTarget> = list.targets.iter().collect();
     targets.sort_by_key(|t| (t.scene_id, t.im_id));
-    let mut references = TargetReferences::new(estimator, list.reference_split());
+    let mut references = TargetReferences::new(estimator, list.reference_split(), ReferenceColor::Keep);
     let mut view: Option<((u32, u32), RgbdFrame)> = None;
     let mut textures: BTreeMap<(u32, u32, u32), f64> = BTreeMap::new();
     let mut records = Vec::new();

@@ -11,8 +11,7 @@ use unopose_core::{
 };
 use unopose_infer::host_assignments;
 use unopose_nn::model::{
-    BlockOutput, CloudFeatures, CloudTensors, DenseTokens, OwnLayers, PixelChoice, Supervision, UnoPose,
-    group_tensors,
+    BlockOutput, CloudTensors, DenseTokens, EncodedCloud, PixelChoice, Supervision, UnoPose, group_tensors,
 };
 use unopose_pairs::data::{metric_pose, positional_groups};
 
@@ -34,8 +33,7 @@ const HEIGHT_MARGIN: f64 = 2e-6;
 
 /// One side of all pairs.
 struct Side<'a> {
-    cloud: CloudTensors,
-    features: CloudFeatures,
+    cloud: EncodedCloud,
     /// `m` or `o`, `1` or `2` in the names.
     letter: &'a str,
     number: &'a str,
@@ -88,7 +86,7 @@ fn side<'a>(
         axis(FIRST[0]).flat_map(|row| axis(FIRST[1]).map(move |col| (row * side + col) as u32)).collect();
     let pixels: Vec<Vec<u32>> = inputs.iter().map(|c| [&c.choose[..], &lattice].concat()).collect();
     let choice = PixelChoice::new(pixels.iter().map(Vec::as_slice));
-    let sampled = model.feature_extraction.forward(cloud.images.clone(), &choice); // [B, N + lattice, C]
+    let sampled = model.feature_extraction.forward(cloud.view.images.clone(), &choice); // [B, N + lattice, C]
     let [_, total, width] = sampled.dims();
     let n = total - lattice.len();
     let dense = sampled.clone().slice([0..batch, 0..n]);
@@ -96,15 +94,14 @@ fn side<'a>(
     let map = sampled.slice([0..batch, n..total]).swap_dims(1, 2).reshape([batch, width, rows, columns]);
     out.tensor(format!("upfeat_{word}_s16"), map)?;
     if let Some(vit) = &model.feature_extraction.rgb_net.vit {
-        out.tensor(format!("cls_{word}"), vit.forward(cloud.images.clone()).class_token)?;
+        out.tensor(format!("cls_{word}"), vit.forward(cloud.view.images.clone()).class_token)?;
     }
     out.tensor(format!("dense_f{letter}"), dense.clone())?;
-    let embedding = model.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone());
-    out.tensor(format!("geo_embedding_{letter}"), embedding.clone())?;
-    let features = CloudFeatures { dense, embedding, own: OwnLayers::default() };
-    let sparse = rows_of(features.dense.clone(), &cloud.sparse_points);
+    let cloud = model.encode_structure(&cloud.structure, &cloud.rows, dense);
+    out.tensor(format!("geo_embedding_{letter}"), cloud.embedding.clone())?;
+    let sparse = rows_of(cloud.dense.clone(), &cloud.rows.points);
     out.tensor(format!("sparse_f{letter}"), sparse)?;
-    Ok(Side { cloud, features, letter, number })
+    Ok(Side { cloud, letter, number })
 }
 
 /// `[B, N, C]` and flattened row indices to `[B, M, C]`.
@@ -138,21 +135,17 @@ fn coarse(
 ) -> Result<BlockOutput, VerifyError> {
     let stage = &model.coarse_point_matching;
     let [mut q, mut p] = [query, reference].map(|side| {
-        let sparse = rows_of(side.features.dense.clone(), &side.cloud.sparse_points);
+        let sparse = rows_of(side.cloud.dense.clone(), &side.cloud.rows.points);
         tokens(&stage.in_proj, &stage.bg_token, sparse, None)
     });
     for (index, block) in stage.transformers.iter().enumerate() {
-        (q, p) = block.forward(q, query.features.embedding.clone(), p, reference.features.embedding.clone());
+        (q, p) = block.forward(q, query.cloud.embedding.clone(), p, reference.cloud.embedding.clone());
         out.tensor(format!("coarse_block{index}_f{}", query.number), q.clone())?;
         out.tensor(format!("coarse_block{index}_f{}", reference.number), p.clone())?;
     }
     out.tensor("coarse_out1_0", stage.out_proj.forward(q))?;
     out.tensor("coarse_out2_0", stage.out_proj.forward(p))?;
-    let outputs = model.coarse(
-        (&query.cloud, &query.features),
-        (&reference.cloud, &reference.features),
-        Supervision::LastBlock,
-    );
+    let outputs = model.coarse(&query.cloud, &reference.cloud, Supervision::LastBlock);
     let block = outputs.into_iter().next_back().ok_or(VerifyError::Part("coarse transformer block"))?;
     out.tensor("coarse_sim0", block.similarity.clone())?;
     out.tensor("coarse_scores", Tensor::cat(block.overlap_probability().to_vec(), 1))?;
@@ -224,12 +217,12 @@ fn fine(
             features: tokens(
                 &stage.in_proj,
                 &stage.bg_token,
-                side.features.dense.clone(),
+                side.cloud.dense.clone(),
                 Some(position.clone()),
             ),
-            sparse_rows: side.cloud.sparse_tokens.clone(),
-            embedding: side.features.embedding.clone(),
-            own: None,
+            sparse_rows: side.cloud.rows.tokens.clone(),
+            embedding: side.cloud.embedding.clone(),
+            attended: None,
         })
         .collect();
     let Ok([mut q, mut p]) = <[DenseTokens; 2]>::try_from(dense) else {
@@ -243,11 +236,9 @@ fn fine(
     out.tensor("fine_out1_0", stage.out_proj.forward(q.features))?;
     out.tensor("fine_out2_0", stage.out_proj.forward(p.features))?;
 
-    let blocks = model.fine(
-        (&query.cloud, &query.features, positions[0].1.clone()),
-        (&reference.cloud, &reference.features, positions[1].1.clone()),
-        Supervision::LastBlock,
-    );
+    let [at_query, at_reference] = [0, 1]
+        .map(|i| EncodedCloud { position: Some(positions[i].1.clone()), ..positions[i].0.cloud.clone() });
+    let blocks = model.fine(&at_query, &at_reference, Supervision::LastBlock);
     let block = blocks.last().ok_or(VerifyError::Part("fine transformer block"))?;
     out.tensor("fine_sim0", block.similarity.clone())?;
     out.tensor("fine_scores", Tensor::cat(block.overlap_probability().to_vec(), 1))?;

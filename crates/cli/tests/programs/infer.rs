@@ -11,7 +11,7 @@ use unopose_dataset::formats::{
     files::{read_json, write_json},
     image_io::{write_depth, write_mask, write_rgb},
 };
-use unopose_infer::{Calibration, Feature, RightPose, Term};
+use unopose_infer::{Calibration, Feature, PoseCriterion, Term};
 use unopose_nn::{checkpoint, device::DeviceChoice, model::UnoPose};
 use unopose_tests::ellipsoid_views::EllipsoidViews;
 
@@ -149,7 +149,7 @@ fn a_calibrated_checkpoint_tells_its_confidence() {
         intercept: 0.0,
         terms: vec![term(Feature::Points, 1e6f64.ln(), 2e6f64.ln()), term(Feature::OverlapQuery, -2.0, -1.0)],
         threshold: 0.8,
-        right: RightPose::DEFAULT,
+        right: PoseCriterion::DEFAULT,
         pairs: 100,
         right_share: 0.5,
         data: "none".into(),

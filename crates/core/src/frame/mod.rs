@@ -25,18 +25,22 @@ impl RgbdFrame {
         self.rgb.height()
     }
 
-    /// All points of a mask with a depth measurement, metres, camera frame, row by row. Pixels of the mask outside the
-    /// depth image have none.
-    pub fn masked_points(&self, mask: &Mask) -> Vec<[f32; 3]> {
+    /// Column, row and depth (metres) of the pixels of a mask that have a measurement, row by row. Pixels of the mask outside
+    /// the depth image have none.
+    pub fn measured_pixels<'a>(&'a self, mask: &'a Mask) -> impl Iterator<Item = (u32, u32, f32)> + 'a {
         let DepthMap { width, height, .. } = self.depth;
-        mask.pixels()
-            .filter(|&(col, row)| col < width && row < height)
-            .filter_map(|(col, row)| {
-                let depth = Some(self.depth.get(col, row)).filter(|z| z.is_finite() && *z > 0.0)?;
-                let p = self.intrinsics.back_project(col.into(), row.into(), depth.into());
-                Some([p.x as f32, p.y as f32, p.z as f32])
-            })
-            .collect()
+        let inside = mask.pixels().filter(move |&(col, row)| col < width && row < height);
+        let measured = inside.map(|(col, row)| (col, row, self.depth.get(col, row)));
+        measured.filter(|(.., z)| z.is_finite() && *z > 0.0)
+    }
+
+    /// All measured points of a mask, metres, camera frame, row by row.
+    pub fn masked_points(&self, mask: &Mask) -> Vec<[f32; 3]> {
+        let point = |(col, row, depth): (u32, u32, f32)| {
+            let p = self.intrinsics.back_project(col.into(), row.into(), depth.into());
+            [p.x as f32, p.y as f32, p.z as f32]
+        };
+        self.measured_pixels(mask).map(point).collect()
     }
 }
 

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use serde::{Deserialize, Serialize};
 use unopose_nn::checkpoint::CheckpointError;
 
-use super::{Doubt, Evidence, Feature, fit};
+use super::{Evidence, Feature, ReasonKind, fit};
 
 /// Key of the checkpoint's metadata.
 const METADATA_KEY: &str = "calibration";
@@ -16,14 +16,14 @@ const UNUSUAL: f64 = 0.1;
 
 /// Which poses count as right.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RightPose {
+pub struct PoseCriterion {
     /// Largest rotation error up to the object's symmetries, degrees.
     pub rotation_deg: f64,
     /// Largest translation error of the object's origin, diameters.
     pub translation: f64,
 }
 
-impl RightPose {
+impl PoseCriterion {
     pub const DEFAULT: Self = Self { rotation_deg: 15.0, translation: 0.1 };
 }
 
@@ -45,7 +45,7 @@ pub struct Calibration {
     pub terms: Vec<Term>,
     /// Probability below which an estimate is not confident by default.
     pub threshold: f64,
-    pub right: RightPose,
+    pub right: PoseCriterion,
     /// Pairs of the fit, and the share of them that were right.
     pub pairs: usize,
     pub right_share: f64,
@@ -64,16 +64,16 @@ pub struct Confidence {
     pub reasons: Vec<Reason>,
 }
 
-/// A reason to doubt an estimate.
+/// A reason why an estimate is not confident.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reason {
-    pub kind: Doubt,
+    pub kind: ReasonKind,
     pub text: String,
 }
 
 impl Calibration {
     /// Fits weights to observed estimates and whether they were right. `None` when there are too few of either outcome.
-    pub fn fit(observed: &[(Evidence, bool)], right: RightPose, data: &str) -> Option<Self> {
+    pub fn fit(observed: &[(Evidence, bool)], right: PoseCriterion, data: &str) -> Option<Self> {
         let rights = observed.iter().filter(|(_, right)| *right).count();
         let (intercept, weights) = fit::fit(observed)?;
         let reached = |feature: Feature, share: f64| {
@@ -118,7 +118,7 @@ impl Calibration {
         }
     }
 
-    /// One reason per kind of doubt whose evidence nine of ten right poses exceed, the most unusual first; the most unusual
+    /// One reason per kind whose evidence nine of ten right poses exceed, the most unusual first; the most unusual
     /// of all when there is none.
     fn reasons(&self, evidence: &Evidence) -> Vec<Reason> {
         // 0 at the median of the right poses, 1 where nine of ten are better.
@@ -129,7 +129,7 @@ impl Calibration {
         terms.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut reasons: Vec<Reason> = Vec::new();
         for (unusual, term) in terms {
-            let kind = term.feature.doubt();
+            let kind = term.feature.reason();
             if reasons.is_empty() || (unusual > 1.0 && reasons.iter().all(|reason| reason.kind != kind)) {
                 let value = term.feature.value(evidence);
                 reasons.push(Reason { kind, text: term.feature.explain(value, term.typical) });

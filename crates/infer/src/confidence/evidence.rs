@@ -43,10 +43,10 @@ pub enum Feature {
     Points,
 }
 
-/// Why a pose is doubted.
+/// Kinds of reasons why an estimate is not confident.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Doubt {
+pub enum ReasonKind {
     FewPoints,
     LowOverlap,
     Ambiguous,
@@ -109,12 +109,14 @@ impl Feature {
     }
 
     /// What a low value means.
-    pub fn doubt(self) -> Doubt {
+    pub fn reason(self) -> ReasonKind {
         match self {
-            Self::Points => Doubt::FewPoints,
-            Self::OverlapQuery | Self::OverlapReference | Self::Matched => Doubt::LowOverlap,
-            Self::Rival => Doubt::Ambiguous,
-            Self::Fit | Self::Mass | Self::Residual | Self::CoarseScore | Self::Agreement => Doubt::PoorFit,
+            Self::Points => ReasonKind::FewPoints,
+            Self::OverlapQuery | Self::OverlapReference | Self::Matched => ReasonKind::LowOverlap,
+            Self::Rival => ReasonKind::Ambiguous,
+            Self::Fit | Self::Mass | Self::Residual | Self::CoarseScore | Self::Agreement => {
+                ReasonKind::PoorFit
+            }
         }
     }
 

@@ -8,9 +8,9 @@ mod calibration;
 mod evidence;
 mod fit;
 
-pub use calibration::{Calibration, Confidence, Reason, RightPose, Term};
+pub use calibration::{Calibration, Confidence, PoseCriterion, Reason, Term};
 pub(super) use evidence::Support;
-pub use evidence::{Doubt, Evidence, Feature};
+pub use evidence::{Evidence, Feature, ReasonKind};
 
 #[cfg(test)]
 mod tests;

@@ -27,7 +27,7 @@ fn observed(count: usize, seed: u64) -> Vec<(Evidence, bool)> {
 }
 
 fn fitted() -> Calibration {
-    Calibration::fit(&observed(4000, 1), RightPose::DEFAULT, "a law").unwrap()
+    Calibration::fit(&observed(4000, 1), PoseCriterion::DEFAULT, "a law").unwrap()
 }
 
 #[test]
@@ -73,10 +73,10 @@ fn doubts_name_what_is_unusual() {
     assert!(confident.confident && confident.reasons.is_empty(), "{confident:?}");
     let few = calibration.judge(&Evidence { points: 25, fit: 0.6, ..good }, calibration.threshold);
     assert!(!few.confident);
-    assert_eq!(few.reasons[0].kind, Doubt::FewPoints, "{few:?}");
+    assert_eq!(few.reasons[0].kind, ReasonKind::FewPoints, "{few:?}");
     assert!(few.reasons[0].text.contains("25 pixels"), "{few:?}");
     let loose = calibration.judge(&Evidence { fit: 0.1, ..good }, calibration.threshold);
-    assert_eq!(loose.reasons[0].kind, Doubt::PoorFit, "{loose:?}");
+    assert_eq!(loose.reasons[0].kind, ReasonKind::PoorFit, "{loose:?}");
     // Even where nothing is unusual a doubted pose has a reason.
     assert_eq!(calibration.judge(&good, 1.1).reasons.len(), 1);
 }
@@ -96,6 +96,6 @@ fn it_travels_in_metadata() {
 #[test]
 fn too_few_outcomes_of_one_kind_give_none() {
     let right: Vec<(Evidence, bool)> = observed(200, 3).into_iter().map(|(e, _)| (e, true)).collect();
-    assert!(Calibration::fit(&right, RightPose::DEFAULT, "").is_none());
-    assert!(Calibration::fit(&[], RightPose::DEFAULT, "").is_none());
+    assert!(Calibration::fit(&right, PoseCriterion::DEFAULT, "").is_none());
+    assert!(Calibration::fit(&[], PoseCriterion::DEFAULT, "").is_none());
 }

@@ -10,7 +10,7 @@ pub use terms::{info_nce, soft_correspondence, weighted_bce};
 use burn::tensor::Tensor;
 use unopose_core::config::LossConfig;
 
-use crate::model::{BlockOutput, CloudTensors, MatchingOutputs, PairTensors};
+use crate::model::{BlockOutput, MatchingOutputs, PairTensors, SparseRows};
 
 /// The loss of a batch and its parts.
 #[derive(Clone, Debug)]
@@ -26,10 +26,11 @@ pub fn pair_losses(config: &LossConfig, outputs: &MatchingOutputs, batch: &PairT
     let labels = |query: Tensor<3>, reference: Tensor<3>| {
         MatchLabels::new(query, reference, &batch.pose, config.match_distance, config.overlap_distance)
     };
-    let coarse = labels(sparse(&batch.query), sparse(&batch.reference));
+    let coarse =
+        labels(sparse(&batch.points[0], &batch.query.rows), sparse(&batch.points[1], &batch.reference.rows));
     let mut terms = stage_terms("coarse", config, &outputs.coarse, &coarse);
     if !outputs.fine.is_empty() {
-        let fine = labels(batch.query.points.clone(), batch.reference.points.clone());
+        let fine = labels(batch.points[0].clone(), batch.points[1].clone());
         terms.extend(stage_terms("fine", config, &outputs.fine, &fine));
     }
     total(config, terms)
@@ -95,14 +96,10 @@ fn overlap_per_cloud(
 }
 
 /// Sparse points `[B, M, 3]`.
-fn sparse(cloud: &CloudTensors) -> Tensor<3> {
-    let [batch, n, _] = cloud.points.dims();
-    let rows = cloud.sparse_points.dims()[0];
-    cloud.points.clone().reshape([batch * n, 3]).select(0, cloud.sparse_points.clone()).reshape([
-        batch,
-        rows / batch,
-        3,
-    ])
+fn sparse(points: &Tensor<3>, rows: &SparseRows) -> Tensor<3> {
+    let [batch, n, _] = points.dims();
+    let m = rows.points.dims()[0] / batch;
+    points.clone().reshape([batch * n, 3]).select(0, rows.points.clone()).reshape([batch, m, 3])
 }
 
 #[cfg(test)]

@@ -97,7 +97,7 @@ impl LinearTransformerLayer {
 
     /// Dense tokens `[B, 1 + N, C]` attend to sparse ones `[B, 1 + M, C]`, background excluded on both sides; the sparse
     /// background token replaces the dense one.
-    pub fn spread(&self, dense: Tensor<3>, sparse: Tensor<3>) -> Tensor<3> {
+    pub fn attend(&self, dense: Tensor<3>, sparse: Tensor<3>) -> Tensor<3> {
         if let Some(y) = self.fused(&dense, &sparse) {
             return y;
         }

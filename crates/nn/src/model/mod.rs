@@ -7,6 +7,7 @@
 mod attention;
 mod batch_norm;
 mod conv_encoder;
+mod encoded_cloud;
 mod feature_extraction;
 pub mod fused;
 mod geo_embedding;
@@ -23,6 +24,7 @@ mod transformer;
 mod vit;
 
 pub use attention::MultiHeadAttention;
+pub use encoded_cloud::{EncodedCloud, SelfAttended};
 pub use feature_extraction::{FeatureExtraction, PixelChoice};
 pub use geo_embedding::GeometricStructureEmbedding;
 pub use init::Initializer;
@@ -30,8 +32,11 @@ pub use linear_attention::LinearTransformerLayer;
 pub use matching::BlockOutput;
 pub use positional_encoding::{GroupTensors, PositionalEncoding};
 pub use sparse_to_dense::{DenseTokens, SparseToDenseTransformer};
-pub use stages::{CoarseInput, CoarsePointMatching, FineInput, FinePointMatching, Supervision};
-pub use tensors::{CloudTensors, PairTensors, PoseTensors, group_tensors, into_group_tensors};
+pub use stages::{CoarsePointMatching, FinePointMatching, Supervision};
+pub use tensors::{
+    CloudTensors, PairTensors, PoseTensors, SparseRows, StructureTensors, ViewTensors, group_tensors,
+    into_group_tensors,
+};
 pub use transformer::{GeometricTransformer, TransformerLayer};
 pub use vit::VisionTransformer;
 
@@ -57,24 +62,6 @@ pub struct MatchingOutputs {
     pub fine: Vec<BlockOutput>,
 }
 
-/// What the matching stages need of a cloud and what can be kept for later queries.
-#[derive(Clone, Debug)]
-pub struct CloudFeatures {
-    /// Colour features of the dense points `[B, N, C_color]`.
-    pub dense: Tensor<3>,
-    /// Structure embedding `[B, 1 + M, 1 + M, C]`.
-    pub embedding: Tensor<4>,
-    pub own: OwnLayers,
-}
-
-/// Sparse tokens of a cloud after the first layer of the coarse and of the fine stage, which do not look at the other
-/// cloud, `[B, 1 + M, C]`; `None` where they are not kept but computed with the rest.
-#[derive(Clone, Debug, Default)]
-pub struct OwnLayers {
-    pub coarse: Option<Tensor<3>>,
-    pub fine: Option<Tensor<3>>,
-}
-
 impl UnoPose {
     /// A freshly initialised network; the same seed gives the same weights on every device.
     pub fn new(config: &ModelConfig, seed: u64, device: &Device) -> Self {
@@ -88,79 +75,83 @@ impl UnoPose {
     }
 
     /// Colour features and structure embedding of a batch of clouds.
-    pub fn encode(&self, cloud: &CloudTensors) -> CloudFeatures {
-        self.encode_structure(cloud, self.feature_extraction.forward(cloud.images.clone(), &cloud.choose))
+    pub fn encode(&self, cloud: &CloudTensors) -> EncodedCloud {
+        self.encode_structure(&cloud.structure, &cloud.rows, self.colors(&cloud.view))
+    }
+
+    /// Colour features of the dense points `[B, N, C_color]`.
+    pub fn colors(&self, view: &ViewTensors) -> Tensor<3> {
+        self.feature_extraction.forward(view.images.clone(), &view.choose)
     }
 
     /// [`Self::encode`] with colour features `[B, N, C_color]` that are already there.
-    pub fn encode_structure(&self, cloud: &CloudTensors, colors: Tensor<3>) -> CloudFeatures {
-        let embedding = self.geo_embedding.forward(cloud.distances.clone(), cloud.angles.clone());
-        CloudFeatures { dense: colors, embedding, own: OwnLayers::default() }
+    pub fn encode_structure(
+        &self,
+        structure: &StructureTensors,
+        rows: &SparseRows,
+        colors: Tensor<3>,
+    ) -> EncodedCloud {
+        let embedding = self.geo_embedding.forward(structure.distances.clone(), structure.angles.clone());
+        EncodedCloud::new(colors, embedding, rows.clone())
     }
 
-    /// Adds the first layers of both stages to what can be kept of a cloud with its positional encoding.
-    pub fn with_own_layers(
-        &self,
-        cloud: &CloudTensors,
-        features: CloudFeatures,
-        position: Option<Tensor<3>>,
-    ) -> CloudFeatures {
-        let coarse = self.coarse_point_matching.own(&coarse_input(cloud, &features));
-        let fine = match (&self.fine_point_matching, position) {
-            (Some(stage), Some(position)) => stage.own(fine_input(cloud, &features, position)),
+    /// Adds what can be kept of a cloud that meets many others: the first self-attention of both stages, which looks at no
+    /// other cloud.
+    pub fn with_self_attention(&self, cloud: EncodedCloud) -> EncodedCloud {
+        let coarse = self.coarse_point_matching.self_attention(&cloud);
+        let fine = match (&self.fine_point_matching, &cloud.position) {
+            (Some(stage), Some(_)) => stage.self_attention(&cloud),
             _ => None,
         };
-        CloudFeatures { own: OwnLayers { coarse: Some(coarse), fine }, ..features }
+        EncodedCloud { attended: SelfAttended { coarse: Some(coarse), fine }, ..cloud }
     }
 
     /// [`Self::encode`] of two batches of clouds. Clouds of equal sizes share the pass over their images, which
     /// reads the weights once, and the tables of the structure embedding.
-    pub fn encode_both(&self, a: &CloudTensors, b: &CloudTensors) -> [CloudFeatures; 2] {
-        let (first, second) = (a.points.dims()[0], b.points.dims()[0]);
-        if a.choose.points() != b.choose.points() {
+    pub fn encode_both(&self, a: &CloudTensors, b: &CloudTensors) -> [EncodedCloud; 2] {
+        if a.view.choose.points() != b.view.choose.points() {
             return [self.encode(a), self.encode(b)];
         }
-        let images = Tensor::cat(vec![a.images.clone(), b.images.clone()], 0);
-        let dense = self.feature_extraction.forward(images, &a.choose.chain(&b.choose));
-        let colors =
-            [(0, first), (first, second)].map(|(start, count)| dense.clone().narrow(0, start, count));
-        if a.angles.dims()[1..] != b.angles.dims()[1..] {
-            let [of_a, of_b] = colors;
-            return [self.encode_structure(a, of_a), self.encode_structure(b, of_b)];
+        let counts = [a, b].map(|cloud| cloud.view.images.dims()[0]);
+        let starts = [0, counts[0]];
+        let images = Tensor::cat(vec![a.view.images.clone(), b.view.images.clone()], 0);
+        let dense = self.feature_extraction.forward(images, &a.view.choose.chain(&b.view.choose));
+        let part = |side: usize| dense.clone().narrow(0, starts[side], counts[side]);
+        if a.structure.angles.dims()[1..] != b.structure.angles.dims()[1..] {
+            return [(a, part(0)), (b, part(1))]
+                .map(|(cloud, colors)| self.encode_structure(&cloud.structure, &cloud.rows, colors));
         }
-        let distances = Tensor::cat(vec![a.distances.clone(), b.distances.clone()], 0);
-        let angles = Tensor::cat(vec![a.angles.clone(), b.angles.clone()], 0);
-        let embedding = self.geo_embedding.forward(distances, angles);
-        let [of_a, of_b] = colors;
-        [(of_a, 0, first), (of_b, first, second)].map(|(dense, start, count)| CloudFeatures {
-            dense,
-            embedding: embedding.clone().narrow(0, start, count),
-            own: OwnLayers::default(),
+        let both = a.structure.chain(&b.structure);
+        let embedding = self.geo_embedding.forward(both.distances, both.angles);
+        [(a, 0), (b, 1)].map(|(cloud, side)| {
+            let embedding = embedding.clone().narrow(0, starts[side], counts[side]);
+            EncodedCloud::new(part(side), embedding, cloud.rows.clone())
         })
     }
 
     /// Coarse stage on encoded clouds.
     pub fn coarse(
         &self,
-        query: (&CloudTensors, &CloudFeatures),
-        reference: (&CloudTensors, &CloudFeatures),
+        query: &EncodedCloud,
+        reference: &EncodedCloud,
         which: Supervision,
     ) -> Vec<BlockOutput> {
-        let [query, reference] = [query, reference].map(|(cloud, features)| coarse_input(cloud, features));
         self.coarse_point_matching.forward(query, reference, which)
     }
 
-    /// Fine stage on encoded clouds and their positional encodings `[B, N, C]`; empty without a fine stage.
+    /// Fine stage on encoded clouds with their positional encodings; empty without a fine stage or an encoding.
     pub fn fine(
         &self,
-        query: (&CloudTensors, &CloudFeatures, Tensor<3>),
-        reference: (&CloudTensors, &CloudFeatures, Tensor<3>),
+        query: &EncodedCloud,
+        reference: &EncodedCloud,
         which: Supervision,
     ) -> Vec<BlockOutput> {
-        let Some(stage) = &self.fine_point_matching else { return Vec::new() };
-        let [query, reference] =
-            [query, reference].map(|(cloud, features, position)| fine_input(cloud, features, position));
-        stage.forward(query, reference, which)
+        match &self.fine_point_matching {
+            Some(stage) if query.position.is_some() && reference.position.is_some() => {
+                stage.forward(query, reference, which)
+            }
+            _ => Vec::new(),
+        }
     }
 
     /// Training pass: the fine stage starts from the noisy pose that the batch's query neighbourhoods were built with.
@@ -182,44 +173,12 @@ impl UnoPose {
         batch: &PairTensors,
         positions: [Option<Tensor<3>>; 2],
     ) -> MatchingOutputs {
-        let query = self.encode(&batch.query);
-        let reference = self.encode(&batch.reference);
-        let coarse =
-            self.coarse((&batch.query, &query), (&batch.reference, &reference), Supervision::AllBlocks);
-        let fine = match positions {
-            [Some(at_query), Some(at_reference)] => self.fine(
-                (&batch.query, &query, at_query),
-                (&batch.reference, &reference, at_reference),
-                Supervision::AllBlocks,
-            ),
-            _ => Vec::new(),
-        };
-        MatchingOutputs { coarse, fine }
+        let [at_query, at_reference] = positions;
+        let query = EncodedCloud { position: at_query, ..self.encode(&batch.query) };
+        let reference = EncodedCloud { position: at_reference, ..self.encode(&batch.reference) };
+        MatchingOutputs {
+            coarse: self.coarse(&query, &reference, Supervision::AllBlocks),
+            fine: self.fine(&query, &reference, Supervision::AllBlocks),
+        }
     }
-}
-
-fn coarse_input(cloud: &CloudTensors, features: &CloudFeatures) -> CoarseInput {
-    CoarseInput {
-        features: sparse_features(cloud, features),
-        embedding: features.embedding.clone(),
-        own: features.own.coarse.clone(),
-    }
-}
-
-fn fine_input(cloud: &CloudTensors, features: &CloudFeatures, position: Tensor<3>) -> FineInput {
-    FineInput {
-        features: features.dense.clone(),
-        position,
-        sparse_rows: cloud.sparse_tokens.clone(),
-        embedding: features.embedding.clone(),
-        own: features.own.fine.clone(),
-    }
-}
-
-/// `[B, N, C] -> [B, M, C]`.
-fn sparse_features(cloud: &CloudTensors, features: &CloudFeatures) -> Tensor<3> {
-    let [batch, n, width] = features.dense.dims();
-    let count = cloud.sparse_points.dims()[0];
-    let dense = features.dense.clone().reshape([batch * n, width]);
-    rows::select_rows(dense, cloud.sparse_points.clone()).reshape([batch, count / batch, width])
 }

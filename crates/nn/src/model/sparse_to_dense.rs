@@ -26,8 +26,8 @@ pub struct DenseTokens {
     pub sparse_rows: Tensor<1, Int>,
     /// Structure embedding of the sparse points `[B, 1 + M, 1 + M, C]`.
     pub embedding: Tensor<4>,
-    /// The sparse tokens after the next block's layer on their own cloud `[B, 1 + M, C]`, where they are known already.
-    pub own: Option<Tensor<3>>,
+    /// The sparse tokens after the next block's self-attention `[B, 1 + M, C]`, where it was computed ahead.
+    pub attended: Option<Tensor<3>>,
 }
 
 impl DenseTokens {
@@ -56,15 +56,17 @@ impl SparseToDenseTransformer {
 
     /// Updates the features of both clouds.
     pub fn forward(&self, query: DenseTokens, reference: DenseTokens) -> (DenseTokens, DenseTokens) {
-        let [own_query, own_reference] = [&query, &reference].map(|cloud| match &cloud.own {
-            Some(own) => own.clone(),
-            None => self.sparse_layer.own(cloud.sparse(), cloud.embedding.clone()),
+        let [attended_query, attended_reference] = [&query, &reference].map(|cloud| match &cloud.attended {
+            Some(attended) => attended.clone(),
+            None => self.sparse_layer.self_attention(cloud.sparse(), cloud.embedding.clone()),
         });
-        let (sparse_query, sparse_reference) = self.sparse_layer.cross(own_query, own_reference);
-        (self.spread(query, sparse_query), self.spread(reference, sparse_reference))
+        let (sparse_query, sparse_reference) =
+            self.sparse_layer.cross_attention(attended_query, attended_reference);
+        (self.densify(query, sparse_query), self.densify(reference, sparse_reference))
     }
 
-    fn spread(&self, dense: DenseTokens, sparse: Tensor<3>) -> DenseTokens {
-        DenseTokens { features: self.dense_layer.spread(dense.features, sparse), own: None, ..dense }
+    /// Dense tokens after they attended to the sparse ones.
+    fn densify(&self, dense: DenseTokens, sparse: Tensor<3>) -> DenseTokens {
+        DenseTokens { features: self.dense_layer.attend(dense.features, sparse), attended: None, ..dense }
     }
 }

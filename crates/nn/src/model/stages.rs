@@ -6,11 +6,12 @@
 use burn::{
     module::{Module, Param},
     nn::Linear,
-    tensor::{Int, Tensor},
+    tensor::Tensor,
 };
 use unopose_core::config::{ModelConfig, OverlapMode};
 
 use super::{
+    EncodedCloud,
     init::Initializer,
     matching::{BlockOutput, HeadParameters, MatchingHead},
     positional_encoding::{GroupTensors, PositionalEncoding},
@@ -42,32 +43,6 @@ pub struct FinePointMatching {
     pub transformers: Vec<SparseToDenseTransformer>,
     temperature: f64,
     overlap_features: bool,
-}
-
-/// One cloud's inputs of the coarse stage.
-#[derive(Clone, Debug)]
-pub struct CoarseInput {
-    /// Colour features of the sparse points `[B, M, C_color]`.
-    pub features: Tensor<3>,
-    /// Structure embedding `[B, 1 + M, 1 + M, C]`.
-    pub embedding: Tensor<4>,
-    /// What [`CoarsePointMatching::own`] gives of these, where it is known already.
-    pub own: Option<Tensor<3>>,
-}
-
-/// One cloud's inputs of the fine stage.
-#[derive(Clone, Debug)]
-pub struct FineInput {
-    /// Colour features of the dense points `[B, N, C_color]`.
-    pub features: Tensor<3>,
-    /// Positional encoding of the dense points `[B, N, C]`.
-    pub position: Tensor<3>,
-    /// Rows of the sparse tokens, see [`DenseTokens::sparse_rows`].
-    pub sparse_rows: Tensor<1, Int>,
-    /// Structure embedding `[B, 1 + M, 1 + M, C]`.
-    pub embedding: Tensor<4>,
-    /// What [`FinePointMatching::own`] gives of these, where it is known already.
-    pub own: Option<Tensor<3>>,
 }
 
 /// Which blocks are compared.
@@ -108,11 +83,11 @@ impl CoarsePointMatching {
         }
     }
 
-    /// A cloud's tokens after the first layer, which does not look at the other cloud: `[B, 1 + M, C]`.
-    pub fn own(&self, cloud: &CoarseInput) -> Tensor<3> {
-        let tokens = self.head().tokens(cloud.features.clone(), None);
+    /// A cloud's tokens after the first self-attention, which does not look at the other cloud: `[B, 1 + M, C]`.
+    pub fn self_attention(&self, cloud: &EncodedCloud) -> Tensor<3> {
+        let tokens = self.head().tokens(cloud.sparse_features(), None);
         match self.transformers.first() {
-            Some(block) => block.own(tokens, like(cloud.embedding.clone(), &self.in_proj.weight)),
+            Some(block) => block.self_attention(tokens, like(cloud.embedding.clone(), &self.in_proj.weight)),
             None => tokens,
         }
     }
@@ -120,19 +95,20 @@ impl CoarsePointMatching {
     /// Similarities and overlaps, one per compared block.
     pub fn forward(
         &self,
-        query: CoarseInput,
-        reference: CoarseInput,
+        query: &EncodedCloud,
+        reference: &EncodedCloud,
         which: Supervision,
     ) -> Vec<BlockOutput> {
-        let clouds = [&query, &reference];
-        let [mut q, mut p] = clouds.map(|cloud| cloud.own.clone().unwrap_or_else(|| self.own(cloud)));
+        let clouds = [query, reference];
+        let [mut q, mut p] =
+            clouds.map(|cloud| cloud.attended.coarse.clone().unwrap_or_else(|| self.self_attention(cloud)));
         let [from, to] = clouds.map(|cloud| like(cloud.embedding.clone(), &self.in_proj.weight));
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {
             if index > 0 {
-                (q, p) = (block.own(q, from.clone()), block.own(p, to.clone()));
+                (q, p) = (block.self_attention(q, from.clone()), block.self_attention(p, to.clone()));
             }
-            (q, p) = block.cross(q, p);
+            (q, p) = block.cross_attention(q, p);
             if which == Supervision::AllBlocks || index + 1 == self.transformers.len() {
                 outputs.push(self.head().compare(index, q.clone(), p.clone()));
             }
@@ -176,24 +152,29 @@ impl FinePointMatching {
         self.PE.forward(groups)
     }
 
-    fn tokens(&self, cloud: FineInput) -> DenseTokens {
+    fn tokens(&self, cloud: &EncodedCloud) -> DenseTokens {
         DenseTokens {
-            features: self.head().tokens(cloud.features, Some(cloud.position)),
-            sparse_rows: cloud.sparse_rows,
-            embedding: like(cloud.embedding, &self.in_proj.weight),
-            own: cloud.own,
+            features: self.head().tokens(cloud.dense.clone(), cloud.position.clone()),
+            sparse_rows: cloud.rows.tokens.clone(),
+            embedding: like(cloud.embedding.clone(), &self.in_proj.weight),
+            attended: cloud.attended.fine.clone(),
         }
     }
 
-    /// A cloud's sparse tokens after the first layer, which does not look at the other cloud: `[B, 1 + M, C]`.
-    pub fn own(&self, cloud: FineInput) -> Option<Tensor<3>> {
+    /// A cloud's sparse tokens after the first self-attention, which does not look at the other cloud: `[B, 1 + M, C]`.
+    pub fn self_attention(&self, cloud: &EncodedCloud) -> Option<Tensor<3>> {
         let block = self.transformers.first()?;
         let tokens = self.tokens(cloud);
-        Some(block.sparse_layer.own(tokens.sparse(), tokens.embedding))
+        Some(block.sparse_layer.self_attention(tokens.sparse(), tokens.embedding))
     }
 
-    /// Similarities and overlaps, one per compared block.
-    pub fn forward(&self, query: FineInput, reference: FineInput, which: Supervision) -> Vec<BlockOutput> {
+    /// Similarities and overlaps, one per compared block, of clouds with positional encodings.
+    pub fn forward(
+        &self,
+        query: &EncodedCloud,
+        reference: &EncodedCloud,
+        which: Supervision,
+    ) -> Vec<BlockOutput> {
         let [mut q, mut p] = [query, reference].map(|cloud| self.tokens(cloud));
         let mut outputs = Vec::new();
         for (index, block) in self.transformers.iter().enumerate() {

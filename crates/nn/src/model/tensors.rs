@@ -9,22 +9,42 @@ use unopose_pairs::data::{CloudInput, TrainSample};
 
 use super::{feature_extraction::PixelChoice, positional_encoding::GroupTensors};
 
-/// One cloud of each pair of a batch.
+/// What the colour network reads of the clouds of a batch.
 #[derive(Clone, Debug)]
-pub struct CloudTensors {
+pub struct ViewTensors {
     /// Masked, normalised crops `[B, 3, S, S]`.
     pub images: Tensor<4>,
+    /// Pixels of the dense points in the crops.
     pub choose: PixelChoice,
-    /// Dense points in the matching frame `[B, N, 3]`, radii.
-    pub points: Tensor<3>,
-    /// Dense rows of the sparse points in the flattened `[B * N]` list, `[B * M]`.
-    pub sparse_points: Tensor<1, Int>,
-    /// Token rows of background and sparse points in the flattened `[B * (1 + N)]` list, `[B * (1 + M)]`.
-    pub sparse_tokens: Tensor<1, Int>,
-    /// `[B, 1 + M, 1 + M]`.
+}
+
+/// What the structure embedding reads of the clouds of a batch: background and sparse points, radii and degrees.
+#[derive(Clone, Debug)]
+pub struct StructureTensors {
+    /// Pairwise distances in units of `geo_embedding.sigma_d` `[B, 1 + M, 1 + M]`.
     pub distances: Tensor<3>,
-    /// `[B, 1 + M, 1 + M, k]`.
+    /// Triplet angles in units of `geo_embedding.sigma_a` `[B, 1 + M, 1 + M, k]`.
     pub angles: Tensor<4>,
+}
+
+/// Where the sparse points of a batch are among the dense ones.
+#[derive(Clone, Debug)]
+pub struct SparseRows {
+    /// Rows of the sparse points in the flattened `[B * N]` list of points, `[B * M]`.
+    pub points: Tensor<1, Int>,
+    /// Rows of background and sparse points in the flattened `[B * (1 + N)]` list of tokens, `[B * (1 + M)]`.
+    pub tokens: Tensor<1, Int>,
+}
+
+/// Everything that the network reads of one cloud of each pair of a batch.
+#[derive(Clone, Debug)]
+pub struct CloudTensors {
+    /// Crops and pixels.
+    pub view: ViewTensors,
+    /// Distances and angles.
+    pub structure: StructureTensors,
+    /// Sparse among dense points.
+    pub rows: SparseRows,
 }
 
 /// Rotations `[B, 3, 3]` and translations `[B, 1, 3]` that map reference to query points (radii, matching frames).
@@ -37,54 +57,86 @@ pub struct PoseTensors {
 /// A training batch without its neighbourhoods ([`Self::groups_of`]).
 #[derive(Clone, Debug)]
 pub struct PairTensors {
+    /// The queries' clouds.
     pub query: CloudTensors,
+    /// The references' clouds.
     pub reference: CloudTensors,
+    /// Dense points of query and reference in the matching frames `[B, N, 3]`, radii.
+    pub points: [Tensor<3>; 2],
     /// True pose.
     pub pose: PoseTensors,
 }
 
-impl CloudTensors {
-    /// What the colour network reads of `clouds` of equal sizes: [`Self::images`] and [`Self::choose`].
-    pub fn views(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> (Tensor<4>, PixelChoice) {
+impl ViewTensors {
+    /// Of `clouds` of equal sizes.
+    pub fn new(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> Self {
         let shape = [clouds.len(), 3, config.image_size, config.image_size];
-        (
-            float(shape, clouds.iter().map(|c| c.rgb.as_slice()), device),
-            PixelChoice::new(clouds.iter().map(|c| c.choose.as_slice())),
-        )
+        Self {
+            images: float(shape, clouds.iter().map(|c| c.rgb.as_slice()), device),
+            choose: PixelChoice::new(clouds.iter().map(|c| c.choose.as_slice())),
+        }
+    }
+}
+
+impl StructureTensors {
+    /// Of `clouds` of equal sizes.
+    pub fn new(clouds: &[&CloudInput], device: &Device) -> Self {
+        let batch = clouds.len();
+        let (size, k) = clouds.first().map_or((0, 0), |c| (c.structure.size, c.structure.k));
+        let distances = clouds.iter().map(|c| c.structure.distances.as_slice());
+        let angles = clouds.iter().map(|c| c.structure.angles.as_slice());
+        Self {
+            distances: float([batch, size, size], distances, device),
+            angles: float([batch, size, size, k], angles, device),
+        }
     }
 
-    /// `clouds` of equal sizes.
-    pub fn from_clouds(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> Self {
+    /// The clouds of two batches of equal sizes, one after the other.
+    pub fn chain(&self, other: &Self) -> Self {
+        Self {
+            distances: Tensor::cat(vec![self.distances.clone(), other.distances.clone()], 0),
+            angles: Tensor::cat(vec![self.angles.clone(), other.angles.clone()], 0),
+        }
+    }
+}
+
+impl SparseRows {
+    /// Of `clouds` of equal sizes.
+    pub fn new(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> Self {
         let batch = clouds.len();
         let n = clouds.first().map_or(0, |c| c.points.len());
         let m = clouds.first().map_or(0, |c| c.sparse.len());
-        let (size, k) = clouds.first().map_or((0, 0), |c| (c.structure.size, c.structure.k));
         // Quirk: the release gathers from the list with the background in front without shifting the indices.
         let shift = if config.quirks.sparse_off_by_one { 0 } else { 1 };
-        let mut sparse_points = Vec::with_capacity(batch * m);
-        let mut sparse_tokens = Vec::with_capacity(batch * (m + 1));
+        let mut points = Vec::with_capacity(batch * m);
+        let mut tokens = Vec::with_capacity(batch * (m + 1));
         for (b, cloud) in clouds.iter().enumerate() {
-            sparse_points.extend(cloud.sparse.iter().map(|&i| (b * n) as i32 + i as i32));
-            sparse_tokens.push((b * (n + 1)) as i32);
-            sparse_tokens.extend(cloud.sparse.iter().map(|&i| (b * (n + 1)) as i32 + i as i32 + shift));
+            points.extend(cloud.sparse.iter().map(|&i| (b * n) as i32 + i as i32));
+            tokens.push((b * (n + 1)) as i32);
+            tokens.extend(cloud.sparse.iter().map(|&i| (b * (n + 1)) as i32 + i as i32 + shift));
         }
-        let (images, choose) = Self::views(clouds, config, device);
+        Self { points: int(points, device), tokens: int(tokens, device) }
+    }
+
+    /// Those of batches with `n` dense points per cloud, one after the other; each comes with its number of clouds.
+    pub(super) fn batch<'a>(items: impl Iterator<Item = (&'a Self, usize)>, n: usize) -> Option<Self> {
+        let (mut points, mut tokens, mut first) = (Vec::new(), Vec::new(), 0i64);
+        for (rows, clouds) in items {
+            points.push(rows.points.clone() + first * n as i64);
+            tokens.push(rows.tokens.clone() + first * (n + 1) as i64);
+            first += clouds as i64;
+        }
+        (first > 0).then(|| Self { points: Tensor::cat(points, 0), tokens: Tensor::cat(tokens, 0) })
+    }
+}
+
+impl CloudTensors {
+    /// Of `clouds` of equal sizes.
+    pub fn from_clouds(clouds: &[&CloudInput], config: &ModelConfig, device: &Device) -> Self {
         Self {
-            images,
-            choose,
-            points: float([batch, n, 3], clouds.iter().map(|c| c.points.as_flattened()), device),
-            sparse_points: int(sparse_points, device),
-            sparse_tokens: int(sparse_tokens, device),
-            distances: float(
-                [batch, size, size],
-                clouds.iter().map(|c| c.structure.distances.as_slice()),
-                device,
-            ),
-            angles: float(
-                [batch, size, size, k],
-                clouds.iter().map(|c| c.structure.angles.as_slice()),
-                device,
-            ),
+            view: ViewTensors::new(clouds, config, device),
+            structure: StructureTensors::new(clouds, device),
+            rows: SparseRows::new(clouds, config, device),
         }
     }
 }
@@ -108,12 +160,20 @@ impl PairTensors {
     /// Samples of equal sizes to tensors on `device` (without autodiff: they are constants of the graph).
     pub fn from_samples(samples: &[TrainSample], config: &ModelConfig, device: &Device) -> Self {
         let device = &device.clone().inner();
-        let clouds = |pick: fn(&TrainSample) -> &CloudInput| {
-            CloudTensors::from_clouds(&samples.iter().map(pick).collect::<Vec<_>>(), config, device)
-        };
+        let clouds = [
+            samples.iter().map(|s| &s.query).collect::<Vec<&CloudInput>>(),
+            samples.iter().map(|s| &s.reference.cloud).collect(),
+        ];
+        let [query, reference] =
+            clouds.each_ref().map(|clouds| CloudTensors::from_clouds(clouds, config, device));
+        let points = clouds.each_ref().map(|clouds| {
+            let n = clouds.first().map_or(0, |c| c.points.len());
+            float([clouds.len(), n, 3], clouds.iter().map(|c| c.points.as_flattened()), device)
+        });
         Self {
-            query: clouds(|s| &s.query),
-            reference: clouds(|s| &s.reference.cloud),
+            query,
+            reference,
+            points,
             pose: PoseTensors::new(samples.iter().map(|s| &s.t_query_reference), device),
         }
     }

@@ -113,16 +113,18 @@ impl GeometricTransformer {
         reference: Tensor<3>,
         reference_embedding: Tensor<4>,
     ) -> (Tensor<3>, Tensor<3>) {
-        self.cross(self.own(query, query_embedding), self.own(reference, reference_embedding))
+        let query = self.self_attention(query, query_embedding);
+        let reference = self.self_attention(reference, reference_embedding);
+        self.cross_attention(query, reference)
     }
 
-    /// The layer of one cloud on itself, which does not depend on the other.
-    pub fn own(&self, x: Tensor<3>, embedding: Tensor<4>) -> Tensor<3> {
+    /// The first layer: a cloud attends to itself, with its structure embedding.
+    pub fn self_attention(&self, x: Tensor<3>, embedding: Tensor<4>) -> Tensor<3> {
         self.layers[0].forward(x.clone(), x, Some(embedding))
     }
 
-    /// The layer between the clouds.
-    pub fn cross(&self, query: Tensor<3>, reference: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+    /// The second layer: the clouds attend to each other, the reference to the already updated query.
+    pub fn cross_attention(&self, query: Tensor<3>, reference: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let query = self.layers[1].forward(query, reference.clone(), None);
         let reference = self.layers[1].forward(reference, query.clone(), None);
         (query, reference)

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
-use unopose_infer::RightPose;
+use unopose_infer::PoseCriterion;
 
 use super::{calibrate::describe, options::EstimatorOptions, progress::Progress};
 
@@ -47,7 +47,7 @@ pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
     })?;
     let estimator = arguments.estimator.estimator()?;
     let progress = Progress::new("analysing");
-    let right = estimator.calibration().map_or(RightPose::DEFAULT, |calibration| calibration.right);
+    let right = estimator.calibration().map_or(PoseCriterion::DEFAULT, |calibration| calibration.right);
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     let title = format!("{} on {}", estimator.source(), list.dataset.name());

@@ -7,7 +7,7 @@ use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_eval::eval::Reliability;
-use unopose_infer::{PoseEstimator, RightPose};
+use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::{checkpoint, device::DeviceChoice};
 
 use super::progress::Progress;
@@ -51,7 +51,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     checkpoint::read_meta(&arguments.checkpoint)?;
     let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device)?;
     let progress = Progress::new("calibrating");
-    let right = RightPose::DEFAULT;
+    let right = PoseCriterion::DEFAULT;
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     ensure!(!records.is_empty(), "{}: no target has a pose", arguments.dataset.display());

@@ -5,7 +5,10 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_eval::eval::{score_poses, write_poses};
-use unopose_infer::{ReferenceColor, Refinement, estimate_targets};
+use unopose_infer::{
+    Refinement, estimate_targets,
+    experiment::{ReferenceColor, untrained},
+};
 use unopose_segment::AnyMatcher;
 
 use super::{
@@ -73,10 +76,10 @@ pub struct EvalArguments {
 }
 
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
-    let mut estimator = arguments.estimator.estimator()?.with_reference_color(arguments.reference_color);
+    let mut estimator = arguments.estimator.estimator()?;
     if arguments.untrained {
         let seed = estimator.seed();
-        estimator = estimator.untrained(seed);
+        estimator = untrained(estimator, seed);
     }
     let detections = match &arguments.detections {
         Some(path) => path.clone(),
@@ -104,7 +107,9 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     })?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
     let progress = Progress::new("estimating");
-    let poses = estimate_targets(&estimator, &list, &mut |done, total| progress.set(done, total))?;
+    let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
+        progress.set(done, total)
+    })?;
     progress.finish();
     let method = match estimator.refinement() {
         Refinement::None => "unopose".to_owned(),

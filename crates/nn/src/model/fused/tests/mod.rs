@@ -249,8 +249,8 @@ fn matching_layers_equal_their_plain_forms() {
         close(layer.forward(x, memory, None), plain.inner(), 2e-5, "cross");
         let layer = LinearTransformerLayer::new(width, heads, 3.0, init);
         let (dense, sparse) = (random([2, 3 * n, width], &device), random([2, m, width], &device));
-        let plain = layer.spread(dense.clone().autodiff(), sparse.clone().autodiff());
-        close(layer.spread(dense, sparse), plain.inner(), 2e-5, "dense");
+        let plain = layer.attend(dense.clone().autodiff(), sparse.clone().autodiff());
+        close(layer.attend(dense, sparse), plain.inner(), 2e-5, "dense");
     }
 }
 

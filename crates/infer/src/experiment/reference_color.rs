@@ -19,7 +19,7 @@ pub enum ReferenceColor {
 
 impl ReferenceColor {
     /// The view with changed colours.
-    pub(super) fn apply<'a>(
+    pub(crate) fn apply<'a>(
         self,
         frame: &'a RgbdFrame,
         mask: &Mask,
