@@ -6,6 +6,8 @@ use burn::{
     tensor::Tensor,
 };
 
+use super::kernels;
+
 /// What a transformer layer does with what its tokens read: output projection, residual, norm, then the feed-forward part
 /// `norm(x + squeeze(relu(expand(x))))`.
 pub struct TokenMaps<'a> {
@@ -56,18 +58,12 @@ pub struct VisionMaps<'a> {
 /// A block of a vision transformer, `[B, T, C]` in and out. `None` where it can't be fused: the block's own form is the
 /// plain one.
 pub fn vision_block(maps: &VisionMaps, x: &Tensor<3>) -> Option<Tensor<3>> {
-    #[cfg(feature = "flex")]
-    return super::vision_block::vision_block(maps, x);
-    #[cfg(not(feature = "flex"))]
-    return None;
+    kernels::vision_block(maps, x)
 }
 
 /// [`vision_block`] for some of the tokens `[B * T]`, image by image, in `[n, C]`.
 pub fn vision_block_at(maps: &VisionMaps, x: &Tensor<3>, wanted: &[usize]) -> Option<Tensor<2>> {
-    #[cfg(feature = "flex")]
-    return super::vision_block::vision_block_at(maps, x, wanted);
-    #[cfg(not(feature = "flex"))]
-    return None;
+    kernels::vision_block_at(maps, x, wanted)
 }
 
 /// A layer in which tokens `[B, N, C]` attend to `memory` `[B, M, C]`, with the structure embedding `[B, N, M, C]` where
@@ -79,10 +75,7 @@ pub fn attention_layer(
     memory: &Tensor<3>,
     embedding: Option<&Tensor<4>>,
 ) -> Option<Tensor<3>> {
-    #[cfg(feature = "flex")]
-    return super::attention_layer::attention_layer(maps, tail, x, memory, embedding);
-    #[cfg(not(feature = "flex"))]
-    return None;
+    kernels::attention_layer(maps, tail, x, memory, embedding)
 }
 
 /// A layer in which the dense tokens `[B, 1 + N, C]` attend to the sparse ones `[B, 1 + M, C]`, without the background
@@ -93,8 +86,5 @@ pub fn dense_layer(
     dense: &Tensor<3>,
     sparse: &Tensor<3>,
 ) -> Option<Tensor<3>> {
-    #[cfg(feature = "flex")]
-    return super::dense_layer::dense_layer(maps, tail, dense, sparse);
-    #[cfg(not(feature = "flex"))]
-    return None;
+    kernels::dense_layer(maps, tail, dense, sparse)
 }

@@ -5,44 +5,12 @@
 //! everywhere else. The tests hold the two against each other.
 
 #[cfg(feature = "flex")]
-mod attention_layer;
-#[cfg(feature = "flex")]
-mod dense_layer;
-#[cfg(feature = "flex")]
-mod embedding;
-mod ends;
-#[cfg(feature = "flex")]
-mod focus;
-#[cfg(feature = "flex")]
-mod in_place;
-#[cfg(feature = "flex")]
-mod layer_norm;
-#[cfg_attr(not(feature = "flex"), allow(unused_variables, dead_code))]
+mod flex;
+mod kernels;
 mod layers;
-#[cfg(feature = "flex")]
-mod linear_relu;
-#[cfg(feature = "flex")]
-mod match_tokens;
-#[cfg(feature = "flex")]
-mod moments;
-#[cfg(feature = "flex")]
-mod panels;
-#[cfg(feature = "flex")]
-mod pooled;
-#[cfg(feature = "flex")]
-mod relative_scores;
-#[cfg(feature = "flex")]
-mod rows;
-#[cfg(feature = "flex")]
-mod self_attention;
-#[cfg(feature = "flex")]
-mod softmax_attention;
-#[cfg(feature = "flex")]
-mod tape;
+mod projections;
 #[cfg(test)]
 mod tests;
-#[cfg(feature = "flex")]
-mod vision_block;
 
 use burn::{
     nn::{LayerNorm, Linear},
@@ -53,20 +21,16 @@ use burn::{
     },
 };
 
-pub use ends::{cosines, sampled_linear, tokens, weighted_rows};
+pub use kernels::Kernel;
 pub use layers::{
     AttentionMaps, FocusedMaps, TokenMaps, VisionMaps, attention_layer, dense_layer, vision_block,
     vision_block_at,
 };
-
-/// Rows per parallel task; fixed, so that sums over rows do not depend on the number of threads.
-#[cfg(feature = "flex")]
-const BLOCK: usize = 512;
+pub use projections::{cosines, sampled_linear, tokens, weighted_rows};
 
 /// `relu(x W + s)`: `[R, K] -> [R, C]`.
 pub fn linear_relu(x: Tensor<2>, weight: Tensor<2>, shift: Tensor<1>) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = linear_relu::linear_relu(&x, &weight, &shift) {
+    if let Some(y) = kernels::linear_relu(&x, &weight, &shift) {
         return y;
     }
     activation::relu(linear(x, weight, Some(shift)))
@@ -74,8 +38,7 @@ pub fn linear_relu(x: Tensor<2>, weight: Tensor<2>, shift: Tensor<1>) -> Tensor<
 
 /// Largest of each `group` consecutive rows of `relu(x W + s)`: `[R, K] -> [R / group, C]`.
 pub fn linear_relu_max(x: Tensor<2>, weight: Tensor<2>, shift: Tensor<1>, group: usize) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = pooled::linear_relu_max(&x, &weight, &shift, group) {
+    if let Some(y) = kernels::linear_relu_max(&x, &weight, &shift, group) {
         return y;
     }
     let y = activation::relu(linear(x, weight, Some(shift)));
@@ -91,11 +54,9 @@ pub fn shared_layers_max(
     group: usize,
     counts: &[u32],
 ) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = pooled::shared_layers_max(&x, layers, group, counts) {
+    if let Some(y) = kernels::shared_layers_max(&x, layers, group, counts) {
         return y;
     }
-    let _ = counts;
     let y = layers.iter().fold(x, |x, (w, s)| activation::relu(linear(x, w.clone(), Some(s.clone()))));
     let [rows, columns] = y.dims();
     y.reshape([rows / group, group, columns]).max_dim(1).reshape([rows / group, columns])
@@ -104,8 +65,7 @@ pub fn shared_layers_max(
 /// Weighted mean and second moments of rows `[R, K]` with weights `[R, 1]` (`None`: 1): `sum m x^T x / sum m` and, as
 /// the last row, `sum m x / sum m`: `[K + 1, K]`.
 pub fn row_moments(x: Tensor<2>, weights: Option<Tensor<2>>) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = moments::row_moments(&x, weights.as_ref()) {
+    if let Some(y) = kernels::row_moments(&x, weights.as_ref()) {
         return y;
     }
     let (count, weighted) = match weights {
@@ -119,43 +79,31 @@ pub fn row_moments(x: Tensor<2>, weights: Option<Tensor<2>>) -> Tensor<2> {
 
 /// GELU in its exact (erf) form of a linear map, `[B, N, C]`.
 pub fn linear_gelu(x: Tensor<3>, map: &Linear) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = in_place::linear_gelu(&x, map) {
+    if let Some(y) = kernels::linear_gelu(&x, map) {
         return y;
     }
     activation::gelu(map.forward(x))
 }
 
 /// GELU in its exact (erf) form.
-pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    #[cfg(feature = "flex")]
-    let x = {
-        let mut x = x;
-        if in_place::gelu(&mut x) {
-            return x;
-        }
-        x
-    };
-    activation::gelu(x)
+pub fn gelu<const D: usize>(mut x: Tensor<D>) -> Tensor<D> {
+    match kernels::gelu(&mut x) {
+        Some(()) => x,
+        None => activation::gelu(x),
+    }
 }
 
 /// GELU of the layer norm over the channels, `[B, N, C]`.
-pub fn layer_norm_gelu(x: Tensor<3>, gamma: Tensor<1>, beta: Tensor<1>, epsilon: f64) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    let x = {
-        let mut x = x;
-        if in_place::layer_norm_gelu(&mut x, &gamma, &beta, epsilon) {
-            return x;
-        }
-        x
-    };
-    activation::gelu(layer_norm(x, gamma, Some(beta), epsilon))
+pub fn layer_norm_gelu(mut x: Tensor<3>, gamma: Tensor<1>, beta: Tensor<1>, epsilon: f64) -> Tensor<3> {
+    match kernels::layer_norm_gelu(&mut x, &gamma, &beta, epsilon) {
+        Some(()) => x,
+        None => activation::gelu(layer_norm(x, gamma, Some(beta), epsilon)),
+    }
 }
 
 /// `residual + gamma map(x)` with a scale per channel, `[B, N, C]`.
 pub fn linear_onto(residual: Tensor<3>, x: Tensor<3>, map: &Linear, gamma: Tensor<1>) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = in_place::linear_onto(&residual, &x, map, &gamma) {
+    if let Some(y) = kernels::linear_onto(&residual, &x, map, &gamma) {
         return y;
     }
     residual + map.forward(x) * gamma.unsqueeze()
@@ -163,8 +111,7 @@ pub fn linear_onto(residual: Tensor<3>, x: Tensor<3>, map: &Linear, gamma: Tenso
 
 /// `y = (relu(x) + epsilon) / scale`, then `y^3` with the norm of `y` over the channels: `[B, N, C]`, `scale` `[1, 1, C]`.
 pub fn focus_cubed(x: Tensor<3>, scale: Tensor<3>, epsilon: f64) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = focus::focus_cubed(&x, &scale, epsilon as f32) {
+    if let Some(y) = kernels::focus_cubed(&x, &scale, epsilon as f32) {
         return y;
     }
     let y = (activation::relu(x) + epsilon) / scale;
@@ -177,8 +124,7 @@ pub fn focus_cubed(x: Tensor<3>, scale: Tensor<3>, epsilon: f64) -> Tensor<3> {
 /// Scaled dot-product attention of tokens among themselves from their projections `[B, T, 3 C]` (query, key, value, the
 /// heads one after the other in each): `[B, T, C]`.
 pub fn self_attention(qkv: Tensor<3>, heads: usize) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = self_attention::self_attention(&qkv, heads, None) {
+    if let Some(y) = kernels::self_attention(&qkv, heads, None) {
         return y;
     }
     let [batch, tokens, joint] = qkv.dims();
@@ -205,8 +151,7 @@ pub enum PositionBias<'a> {
 
 /// [`self_attention`] with a bias of the scores.
 pub fn positioned_self_attention(qkv: Tensor<3>, heads: usize, bias: PositionBias) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = self_attention::self_attention(&qkv, heads, Some(bias)) {
+    if let Some(y) = kernels::self_attention(&qkv, heads, Some(bias)) {
         return y;
     }
     let [batch, tokens, joint] = qkv.dims();
@@ -240,8 +185,7 @@ fn bias_of_axes(queries: Tensor<4>, rows: Tensor<3>, columns: Tensor<3>) -> Tens
 /// Scores of the relative positions, `sum_c projected[b, h, n, c] embedding[b, n, m, c]`: `[B, H, N, C]` and
 /// `[B, N, M, C]` to `[B, H, N, M]`.
 pub fn relative_scores(projected: Tensor<4>, embedding: Tensor<4>) -> Tensor<4> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = relative_scores::relative_scores(&projected, &embedding) {
+    if let Some(y) = kernels::relative_scores(&projected, &embedding) {
         return y;
     }
     let [batch, heads, n, width] = projected.dims();
@@ -262,10 +206,7 @@ pub fn softmax_attention(
     position: Option<Tensor<4>>,
     heads: usize,
 ) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) =
-        softmax_attention::softmax_attention([&queries, &keys, &values], position.as_ref(), heads)
-    {
+    if let Some(y) = kernels::softmax_attention([&queries, &keys, &values], position.as_ref(), heads) {
         return y;
     }
     let shape = queries.dims();
@@ -286,19 +227,16 @@ pub fn split_heads(x: Tensor<3>, heads: usize) -> Tensor<4> {
 
 /// `norm(x + residual)` over the channels, `[B, N, C]`. `epsilon` is the norm's own, which keeps it to itself.
 pub fn add_layer_norm(norm: &LayerNorm, epsilon: f64, x: Tensor<3>, residual: Tensor<3>) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = layer_norm::add_layer_norm(norm, epsilon, &x, &residual) {
+    if let Some(y) = kernels::add_layer_norm(norm, epsilon, &x, &residual) {
         return y;
     }
-    let _ = epsilon;
     norm.forward(x + residual)
 }
 
 /// Sum of the distance row and the largest of the `k` angle rows of each pair, linearly interpolated in tables
 /// `[entries, C]` of the mapped sinusoids. Positions are in table rows, `[n]` and `[n, k]`, without gradients.
 pub fn interpolated_embedding(tables: [Tensor<2>; 2], distances: Tensor<1>, angles: Tensor<2>) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = embedding::interpolated_embedding(&tables, &distances, &angles) {
+    if let Some(y) = kernels::interpolated_embedding(&tables, &distances, &angles) {
         return y;
     }
     let rows = |table: &Tensor<2>, positions: Tensor<1>| {

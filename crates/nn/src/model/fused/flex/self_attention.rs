@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use unopose_core::simd::{add_product, dot, exp_of_negative, vectorised};
 
 use super::{
-    PositionBias,
+    super::PositionBias,
     rows::{merged_heads, transposed},
     tape::{Values, plain},
 };

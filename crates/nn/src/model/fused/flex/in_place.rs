@@ -52,16 +52,16 @@ pub fn linear_onto(
     done.then_some(y)
 }
 
-/// `gelu(x)` in the place of `x`; false leaves `x` as it is.
-pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> bool {
-    update(x, RUN, |_, run| vectorised!(run.iter_mut().for_each(|y| *y = simd::gelu(*y))))
+/// `gelu(x)` in the place of `x`; `None` leaves `x` as it is.
+pub fn gelu<const D: usize>(x: &mut Tensor<D>) -> Option<()> {
+    update(x, RUN, |_, run| vectorised!(run.iter_mut().for_each(|y| *y = simd::gelu(*y)))).then_some(())
 }
 
-/// `gelu(layer_norm(x))` over the last axis in the place of `x`; false leaves `x` as it is.
-pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, epsilon: f64) -> bool {
-    let (Some(gamma), Some(beta)) = (Values::of(gamma), Values::of(beta)) else { return false };
+/// `gelu(layer_norm(x))` over the last axis in the place of `x`; `None` leaves `x` as it is.
+pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, epsilon: f64) -> Option<()> {
+    let (gamma, beta) = (Values::of(gamma)?, Values::of(beta)?);
     let width = gamma.len();
-    update(x, rows_of(width), |_, run| {
+    let done = update(x, rows_of(width), |_, run| {
         vectorised!({
             for row in run.chunks_exact_mut(width) {
                 let mean = sum(row, |y| y) / width as f32;
@@ -71,7 +71,8 @@ pub fn layer_norm_gelu(x: &mut Tensor<3>, gamma: &Tensor<1>, beta: &Tensor<1>, e
                 channels.for_each(|((y, g), b)| *y = simd::gelu(*y * scale * g + b));
             }
         });
-    })
+    });
+    done.then_some(())
 }
 
 fn bias(map: &Linear) -> Option<Values> {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use unopose_core::simd::{add_product, add_transposed_product, dot, vectorised};
 
 use super::{
-    FocusedMaps, TokenMaps,
+    super::{FocusedMaps, TokenMaps},
     focus::focus_rows,
     rows::{Map, Tail, columns},
     tape::{Values, plain},

@@ -10,8 +10,7 @@ use crate::model::{matching::BlockOutput, precision::single, rows::select_rows};
 /// Points `[B, N, K]` to tokens with a background token `[1, 1, C]` in front, `[B, 1 + N, C]`; `extra` is added to the
 /// mapped points.
 pub fn tokens(points: Tensor<3>, map: &Linear, extra: Option<Tensor<3>>, background: Tensor<3>) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = super::match_tokens::tokens(&points, map, extra.as_ref(), &background) {
+    if let Some(y) = super::kernels::tokens(&points, map, extra.as_ref(), &background) {
         return y;
     }
     let x = map.forward(points);
@@ -25,8 +24,7 @@ pub fn tokens(points: Tensor<3>, map: &Linear, extra: Option<Tensor<3>>, backgro
 
 /// Cosines of mapped tokens `[B, N, K]` and `[B, M, K]` over a temperature, `[B, N, M]`.
 pub fn cosines(a: Tensor<3>, b: Tensor<3>, map: &Linear, temperature: f64) -> Tensor<3> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = super::match_tokens::cosines(&a, &b, map, (1.0 / temperature) as f32) {
+    if let Some(y) = super::kernels::cosines(&a, &b, map, (1.0 / temperature) as f32) {
         return y;
     }
     BlockOutput::cosine_similarity(single(map.forward(a)), single(map.forward(b)), temperature)
@@ -41,8 +39,7 @@ pub fn sampled_linear(
     rows: Vec<i32>,
     weights: Vec<f32>,
 ) -> Tensor<2> {
-    #[cfg(feature = "flex")]
-    if let Some(y) = super::panels::sampled_linear(&x, map, width, &rows, &weights) {
+    if let Some(y) = super::kernels::sampled_linear(&x, map, width, &rows, &weights) {
         return y;
     }
     let mapped = map.forward(x);

@@ -4,10 +4,10 @@ use burn::nn::{LayerNorm, Linear};
 use rayon::prelude::*;
 use unopose_core::simd::{PANEL, map_rows, sum, vectorised};
 
-use super::{TokenMaps, tape::Values};
+use super::{super::TokenMaps, tape::Values};
 
 /// A linear map in host memory.
-pub(super) struct Map {
+pub struct Map {
     weight: Values,
     bias: Values,
 }
@@ -66,7 +66,7 @@ impl Map {
 }
 
 /// A layer norm in host memory.
-pub(super) struct Norm {
+pub struct Norm {
     gamma: Values,
     beta: Values,
     epsilon: f32,

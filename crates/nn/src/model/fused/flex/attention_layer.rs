@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use unopose_core::simd::{add_product, row_products, vectorised};
 
 use super::{
-    AttentionMaps, TokenMaps,
+    super::{AttentionMaps, TokenMaps},
     rows::{Map, Tail, columns, transposed},
     self_attention::{exponentials, largest},
     tape::{Values, plain},

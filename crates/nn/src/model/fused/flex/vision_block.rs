@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use unopose_core::simd::{PANEL, gelu, vectorised};
 
 use super::{
-    VisionMaps,
+    super::VisionMaps,
     panels::{mapped, normalised, onto, some_mapped},
     rows::{Map, Norm},
     self_attention::{Bias, Rows, head},
