@@ -1,4 +1,5 @@
-//! What each correction of the release's quirks changes, in numbers. (8 is beside the augmentation, 9 in `data_pairs.rs`.)
+//! What each correction of the release's quirks changes, in numbers; they are counted as in `docs/network.md`, section 10.
+//! (8 is tested beside the augmentation in `unopose-pairs`, 9 in `tests/data/pairs.rs`.)
 
 use std::sync::Arc;
 

@@ -13,7 +13,7 @@ pub struct PairEstimate {
     /// Reference camera to query camera, metres.
     pub t_query_reference: Pose,
     /// Confidence in [0, 1]: share of matched query points that lie on the reference, times the share matched
-    /// (section 6; without a fine stage computed on the coarse matches).
+    /// (`docs/network.md`, section 6; without a fine stage computed on the coarse matches).
     pub score: f64,
     /// Coarse pose, metres.
     pub t_query_reference_coarse: Pose,

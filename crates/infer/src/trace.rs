@@ -90,7 +90,7 @@ impl PairTrace {
         rival.map_or(0.0, |rival| rival / score.max(1e-8)).min(1.0)
     }
 
-    /// The fine stage's score (network page, section 6) on the coarse matches.
+    /// The fine stage's score (`docs/network.md`, section 6) on the coarse matches.
     fn coarse_confidence(&self, query: &CloudInput, reference: &CloudInput) -> f64 {
         let t_reference_query = self.coarse_pose.pose.inverse();
         let moved: Vec<[f32; 3]> =

@@ -1,4 +1,4 @@
-//! Learning rate over a run: linear warm-up, then half a cosine down to zero (network page, section 8).
+//! Learning rate over a run: linear warm-up, then half a cosine down to zero (`docs/network.md`, section 8).
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! The release's quirks, one switch each.
+//! The release's quirks, one switch each (`docs/network.md`, section 10).
 
 use serde::{Deserialize, Serialize};
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Precision;
 
-/// The training loop. Defaults are the release's (network page, section 8).
+/// The training loop. Defaults are the release's (`docs/network.md`, section 8).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {

@@ -1,4 +1,5 @@
-//! Geometric structure embedding (GeoTransformer, section 3.2): sinusoids of pair distances and triplet angles.
+//! Geometric structure embedding (GeoTransformer; `docs/network.md`, section 4): sinusoids of pair distances and
+//! triplet angles.
 
 use burn::{
     module::Module,

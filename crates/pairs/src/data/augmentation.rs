@@ -1,4 +1,5 @@
-//! Both views of a training pair sampled and changed at random, the pose changed with them (network page, section 8).
+//! Both views of a training pair sampled and changed at random, the pose changed with them (`docs/network.md`, section
+//! 8).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};

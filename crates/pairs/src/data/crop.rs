@@ -1,4 +1,4 @@
-//! Square crop around a mask (network page, section 1): box, masked resize, index of a pixel in the resized crop.
+//! Square crop around a mask (`docs/network.md`, section 1): box, masked resize, index of a pixel in the resized crop.
 
 use image::RgbImage;
 use unopose_core::frame::BoundingBox;

@@ -1,4 +1,4 @@
-//! Training pairs: two views of the same object with the pose between them (network page, section 8).
+//! Training pairs: two views of the same object with the pose between them (`docs/network.md`, section 8).
 
 use std::sync::{
     Arc,

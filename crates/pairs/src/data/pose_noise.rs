@@ -1,4 +1,4 @@
-//! Noisy initial poses for the fine stage in training (network page, section 7).
+//! Noisy initial poses for the fine stage in training (`docs/network.md`, section 7).
 
 use nalgebra::{Rotation3, Vector3};
 use rand::{Rng, seq::IndexedRandom};

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 /// A random change of a crop.
 type Change = fn(&mut RgbImage, &mut ChaCha8Rng);
 
-/// Probability and change (network page, section 11).
+/// Probability and change (`docs/network.md`, section 8).
 const CHANGES: [(f64, Change); 13] = [
     (0.5, filters::coarse_dropout),
     (0.4, filters::gaussian_blur),

@@ -15,7 +15,7 @@ pub struct Limits {
     pub cliques: usize,
 }
 
-/// For every vertex the heaviest clique found that contains it (the paper's node-guided selection, section 3.3), each
+/// For every vertex the heaviest clique found that contains it (node-guided selection; Zhang et al., section 3.3), each
 /// once, heaviest first.
 pub fn heaviest_cliques(graph: &CompatibilityGraph, limits: Limits) -> Vec<Vec<usize>> {
     let size = graph.len();

@@ -2,7 +2,7 @@
 
 use super::super::feature_pair::Match;
 
-/// Second order compatibility graph (section 3.2 of the paper): two matches are joined when a rigid motion can explain
+/// Second order compatibility graph (Zhang et al., section 3.2): two matches are joined when a rigid motion can explain
 /// both, with a weight that counts how many third matches agree with both.
 pub struct CompatibilityGraph {
     size: usize,

@@ -75,7 +75,7 @@ impl CloudRegistration for FpfhMac {
     }
 }
 
-/// The paper's mean absolute error criterion (section 3.4): every match that agrees counts the more the nearer it is.
+/// Mean absolute error criterion (Zhang et al., section 3.4): every match that agrees counts the more the nearer it is.
 fn agreement(matches: &[Match], t_query_reference: &Pose, limit: f32) -> f32 {
     let pose = CountingPose::new(t_query_reference);
     let agreeing = matches.iter().filter(|m| pose.explains(m, limit));

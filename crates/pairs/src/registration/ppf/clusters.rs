@@ -1,4 +1,4 @@
-//! Pose clustering (section 3.5 of the paper).
+//! Pose clustering (Drost et al., section 3.5).
 
 use nalgebra::{Matrix4, Quaternion, Rotation3, SymmetricEigen, UnitQuaternion, Vector3, Vector4};
 use unopose_core::geometry::Pose;

@@ -15,7 +15,7 @@ pub struct VotedPose {
     pub votes: f64,
 }
 
-/// For every `step`-th query point the local coordinates with the most votes (sections 3.3 and 3.4 of the paper).
+/// For every `step`-th query point the local coordinates with the most votes (Drost et al., sections 3.3 and 3.4).
 pub fn vote(table: &PairTable, model: &AlignedPoints, query: &AlignedPoints, step: usize) -> Vec<VotedPose> {
     let angle_step = table.angle_step();
     let turns = (TAU / angle_step).round().max(1.0) as usize;
