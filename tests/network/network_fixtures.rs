@@ -1,85 +1,16 @@
 //! The whole network against the tensors of the official implementation (`fixtures/e2e_*.safetensors` of the shared folder).
 
 use burn::tensor::{Device, Tensor};
-use unopose_core::{
-    config::{
-        ColorConfig, EmbeddingEvaluation, FineConfig, GeoEmbeddingConfig, HypothesisConfig, LossConfig,
-        MatchingConfig, ModelConfig, OverlapMode, Quirks, VitConfig,
-    },
-    geometry::Pose,
-};
+use unopose_core::config::{EmbeddingEvaluation, ModelConfig};
 use unopose_infer::{Uniforms, estimate_pairs};
 use unopose_nn::{
     checkpoint::load_official,
-    loss::pair_losses,
     model::{CloudTensors, EncodedCloud, PairTensors, Supervision, UnoPose},
 };
-use unopose_pairs::data::{
-    CloudInput, PairKey, PreparedReference, TrainSample, positional_groups, query_from_points,
-    reference_from_points,
-};
-use unopose_tests::tensor_fixture::Fixture;
-use unopose_tests::test_device::test_device;
+use unopose_pairs::data::{CloudInput, positional_groups};
+use unopose_tests::{tensor_fixture::Fixture, test_device::test_device};
 
-fn choose(fixture: &Fixture, name: &str, b: usize) -> Vec<u32> {
-    fixture.file.int_item(name, b).into_iter().map(|v| v as u32).collect()
-}
-
-fn pose(fixture: &Fixture, rotation: &str, translation: &str, b: usize, scale: f64) -> Pose {
-    let r: Vec<f64> = fixture.file.item(rotation, b).into_iter().map(f64::from).collect();
-    let t: Vec<f64> = fixture.file.item(translation, b).into_iter().map(|x| x as f64 / scale).collect();
-    Pose::from_row_major(&r.try_into().unwrap(), &t.try_into().unwrap())
-}
-
-/// The sizes of `fixtures/config.json`, with the release's behaviour.
-fn small_official() -> ModelConfig {
-    let matching = MatchingConfig { blocks: 3, heads: 4, hidden_dim: 32, out_dim: 32, temperature: 0.1 };
-    ModelConfig {
-        image_size: 224,
-        reference_points: 400,
-        fine_points: 256,
-        coarse_points: 64,
-        color: ColorConfig::Vit(VitConfig {
-            embed_dim: 48,
-            depth: 4,
-            heads: 3,
-            out_dim: 32,
-            ..VitConfig::default()
-        }),
-        geo_embedding: GeoEmbeddingConfig {
-            hidden_dim: 32,
-            evaluation: EmbeddingEvaluation::Exact,
-            ..GeoEmbeddingConfig::default()
-        },
-        coarse: matching.clone(),
-        fine: FineConfig { matching, pe_radii: [0.2, 0.4], pe_samples: [16, 32], ..FineConfig::default() },
-        overlap: OverlapMode::Release,
-        hypotheses: HypothesisConfig { proposals: 600, kept: 60, ..HypothesisConfig::default() },
-        quirks: Quirks::release(),
-        ..ModelConfig::default()
-    }
-}
-
-fn inputs(fixture: &Fixture, config: &ModelConfig) -> Vec<(CloudInput, PreparedReference)> {
-    (0..2)
-        .map(|b| {
-            let reference = reference_from_points(
-                &fixture.file.cloud("tem1_pts", b),
-                &choose(fixture, "tem1_choose", b),
-                fixture.file.item("tem1_rgb", b),
-                config,
-            );
-            let query = query_from_points(
-                &fixture.file.cloud("pts", b),
-                &choose(fixture, "rgb_choose", b),
-                fixture.file.item("rgb", b),
-                reference.radius,
-                config,
-            );
-            (query, reference)
-        })
-        .collect()
-}
+use crate::official::{check_training, inputs, pose, small_official, training_samples};
 
 fn network(config: &ModelConfig, device: &Device) -> UnoPose {
     let weights = unopose_tests::shared("fixtures/weights.safetensors");
@@ -97,7 +28,7 @@ fn evaluation_matches_the_official_network() {
         config.geo_embedding.evaluation = evaluation;
         let model = network(&config, &device);
         let fixture = Fixture::open("e2e_eval");
-        let pairs = inputs(&fixture, &config);
+        let pairs = inputs(&fixture, "", &config);
         let clouds: Vec<&CloudInput> = pairs.iter().map(|p| &p.0).collect();
         let references: Vec<&CloudInput> = pairs.iter().map(|p| &p.1.cloud).collect();
         let query = CloudTensors::from_clouds(&clouds, &config, &device);
@@ -157,31 +88,7 @@ fn training_losses_match_the_official_network() {
     let config = small_official();
     let model = network(&config, &device);
     let fixture = Fixture::open("e2e_train");
-    let samples: Vec<TrainSample> = inputs(&fixture, &config)
-        .into_iter()
-        .enumerate()
-        .map(|(b, (query, reference))| {
-            let t_init = pose(&fixture, "init_R", "init_t", b, 1.0);
-            let t_reference_query = t_init.inverse();
-            let moved: Vec<_> = query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
-            let scale = reference.radius as f64 + 1e-6;
-            TrainSample {
-                t_query_reference: pose(&fixture, "rotation_label", "translation_label", b, scale),
-                t_init,
-                query_groups: positional_groups(&moved, &config),
-                query,
-                reference,
-                key: PairKey {
-                    index: b as u64,
-                    obj_id: 0,
-                    query_image: 0,
-                    query_instance: 0,
-                    reference_image: 0,
-                    reference_instance: 0,
-                },
-            }
-        })
-        .collect();
+    let samples = training_samples(&fixture, "", &config);
     let batch = PairTensors::from_samples(&samples, &config, &device);
     let groups = PairTensors::groups_of(&samples, &config, &device);
     let outputs = model.forward_train(&batch, &groups);
@@ -194,48 +101,5 @@ fn training_losses_match_the_official_network() {
         );
     }
     fixture.check("fine_sim2", outputs.fine[2].similarity.clone(), 8e-2);
-    let losses = pair_losses(&LossConfig::default(), &outputs, &batch);
-    for (name, value) in &losses.terms {
-        let (stage, rest) = name.split_once('.').unwrap();
-        let (block, term) = rest.split_once('.').unwrap();
-        let stage = if stage == "coarse" { "coarse_hard" } else { "fine" };
-        let term = match term {
-            "info_nce" => "atten",
-            "overlap" => "score",
-            other => other,
-        };
-        fixture.check(&format!("per_sample.{stage}_{term}_loss{block}"), value.clone(), 1e-4);
-    }
-    fixture.check("loss_total", losses.total.clone(), 8e-5);
-
-    let gradients = losses.total.backward();
-    let stage = model.fine_point_matching.as_ref().unwrap();
-    let checks: Vec<(&str, Vec<f32>)> = vec![
-        (
-            "coarse_point_matching.in_proj.weight",
-            gradient(&model.coarse_point_matching.in_proj.weight.val(), &gradients),
-        ),
-        ("fine_point_matching.in_proj.weight", gradient(&stage.in_proj.weight.val(), &gradients)),
-        ("geo_embedding.proj_d.weight", gradient(&model.geo_embedding.proj_d.weight.val(), &gradients)),
-        ("geo_embedding.proj_a.weight", gradient(&model.geo_embedding.proj_a.weight.val(), &gradients)),
-        (
-            "fine_point_matching.PE.mlp1.layer0.conv.weight",
-            gradient(&stage.PE.mlp1.layer0.conv.weight.val(), &gradients),
-        ),
-    ];
-    for (name, actual) in checks {
-        let expected = &fixture.file.f32(&format!("grad.{name}")).1;
-        let dot: f64 = actual.iter().zip(expected).map(|(a, b)| (a * b) as f64).sum();
-        let norm = |v: &[f32]| v.iter().map(|x| (x * x) as f64).sum::<f64>().sqrt();
-        let difference: Vec<f32> = actual.iter().zip(expected).map(|(a, b)| a - b).collect();
-        let relative = norm(&difference) / norm(expected);
-        println!("{name}: relative L2 {relative:.2e}, cosine {:.6}", dot / norm(&actual) / norm(expected));
-        assert!(relative <= 5e-2, "{name}: relative L2 difference {relative}");
-    }
-}
-
-/// Gradient of a linear weight in the official `[out, in]` layout.
-fn gradient(weight: &Tensor<2>, gradients: &burn::tensor::Gradients) -> Vec<f32> {
-    let gradient = weight.grad(gradients).expect("the parameter takes part in the loss");
-    gradient.transpose().try_into_vec_as::<f32>().unwrap()
+    check_training(&fixture, "", &model, &outputs, &batch);
 }

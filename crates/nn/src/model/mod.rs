@@ -176,9 +176,14 @@ impl UnoPose {
         let [at_query, at_reference] = positions;
         let query = EncodedCloud { position: at_query, ..self.encode(&batch.query) };
         let reference = EncodedCloud { position: at_reference, ..self.encode(&batch.reference) };
+        self.forward_encoded(&query, &reference)
+    }
+
+    /// Every block of both stages on encoded clouds.
+    pub fn forward_encoded(&self, query: &EncodedCloud, reference: &EncodedCloud) -> MatchingOutputs {
         MatchingOutputs {
-            coarse: self.coarse(&query, &reference, Supervision::AllBlocks),
-            fine: self.fine(&query, &reference, Supervision::AllBlocks),
+            coarse: self.coarse(query, reference, Supervision::AllBlocks),
+            fine: self.fine(query, reference, Supervision::AllBlocks),
         }
     }
 }

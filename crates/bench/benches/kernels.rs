@@ -1,0 +1,99 @@
+//! What every fused kernel of the CPU gains: `cargo bench --bench kernels [-- --config unopose] [--rounds 15] [KERNEL]`.
+//!
+//! A whole pair and a training pass, with the kernel and with its plain form, alternating; medians. The other kernels are on,
+//! so a kernel that another one contains gains nothing where that one runs.
+
+use std::{sync::Arc, time::Instant};
+
+use clap::Parser;
+use unopose_core::config::Config;
+use unopose_infer::{Uniforms, estimate_pairs};
+use unopose_nn::{
+    device::{DeviceChoice, keep_freed_memory},
+    model::{UnoPose, fused::Kernel},
+};
+use unopose_pairs::data::{PairSampler, TrainSample};
+use unopose_tests::ellipsoid_views::EllipsoidViews;
+use unopose_train::pass;
+
+#[derive(Parser)]
+struct Arguments {
+    /// A built-in configuration.
+    #[arg(long, default_value = "geo")]
+    config: String,
+    /// Change a configuration value.
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    overrides: Vec<String>,
+    /// Times that each form is measured.
+    #[arg(long, default_value_t = 15)]
+    rounds: usize,
+    /// Pairs of a training pass.
+    #[arg(long, default_value_t = 4)]
+    pairs: u64,
+    /// Only kernels whose names contain this.
+    #[arg(value_name = "KERNEL")]
+    filter: Option<String>,
+    /// Passed by `cargo bench`.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// Medians of the seconds of `work` with the kernel and without it.
+fn with_and_without(kernel: Kernel, rounds: usize, work: &dyn Fn()) -> [f64; 2] {
+    let mut seconds = [Vec::new(), Vec::new()];
+    for round in 0..=rounds {
+        for (without, seconds) in seconds.iter_mut().enumerate() {
+            kernel.switch(without == 0);
+            let start = Instant::now();
+            work();
+            // The first round fills caches.
+            if round > 0 {
+                seconds.push(start.elapsed().as_secs_f64());
+            }
+        }
+    }
+    kernel.switch(true);
+    seconds.map(|mut seconds| {
+        seconds.sort_unstable_by(f64::total_cmp);
+        seconds[seconds.len() / 2]
+    })
+}
+
+fn main() -> anyhow::Result<()> {
+    keep_freed_memory();
+    let arguments = Arguments::parse();
+    let mut config = Config::embedded(&arguments.config, &arguments.overrides)?;
+    config.data.min_overlap = 0.0; // of two views of the same few, some hardly overlap
+    let (device, _) = DeviceChoice::Flex.open()?;
+    let sampler = PairSampler::new(Arc::new(EllipsoidViews::new(24, 0)), &config.data, &config.model, 0)?;
+    let samples: Vec<TrainSample> =
+        (0..arguments.pairs.max(1)).map(|index| sampler.sample(index, false)).collect::<Result<_, _>>()?;
+    let training = device.clone().autodiff();
+    let (model, trained) =
+        (UnoPose::new(&config.model, 0, &device), UnoPose::new(&config.model, 0, &training));
+    let pair = [(&samples[0].query, &samples[0].reference)];
+    let estimate = || {
+        estimate_pairs(&model, &config.model, &pair, Uniforms::Shared(0), &device).expect("a pose");
+    };
+    let train = || drop(pass(&trained, &config, &samples, &training));
+    println!(
+        "configuration {}, {} threads, passes of {} pairs\n",
+        arguments.config,
+        rayon::current_num_threads(),
+        samples.len()
+    );
+    println!("| kernel | pair ms | without | gain % | pass ms | without | gain % |\n|--|--|--|--|--|--|--|");
+    let wanted = arguments.filter.unwrap_or_default();
+    for &kernel in Kernel::ALL.iter().filter(|kernel| kernel.name().contains(&wanted)) {
+        let cells: Vec<String> = [&estimate as &dyn Fn(), &train]
+            .into_iter()
+            .map(|work| {
+                let [with, without] = with_and_without(kernel, arguments.rounds.max(1), work);
+                let gain = 100.0 * (1.0 - with / without);
+                format!("{:.1} | {:.1} | {gain:.1}", 1e3 * with, 1e3 * without)
+            })
+            .collect();
+        println!("| `{}` | {} |", kernel.name(), cells.join(" | "));
+    }
+    Ok(())
+}
