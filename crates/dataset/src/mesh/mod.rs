@@ -10,27 +10,14 @@ mod normals;
 mod obj;
 pub mod ply;
 mod stl;
+mod triangle_mesh;
 
 pub use error::MeshError;
 pub use measure::Bounds;
 pub use normals::split_by_crease;
+pub use triangle_mesh::TriangleMesh;
 
-use std::{path::Path, sync::Arc};
-
-/// Triangle mesh. All per-vertex lists are either empty or as long as `vertices`.
-#[derive(Clone, Debug, Default)]
-pub struct TriangleMesh {
-    /// Metres, object frame.
-    pub vertices: Vec<[f32; 3]>,
-    pub faces: Vec<[u32; 3]>,
-    /// Unit normals per vertex.
-    pub normals: Vec<[f32; 3]>,
-    /// Texture coordinates per vertex, origin at the bottom left.
-    pub uvs: Vec<[f32; 2]>,
-    /// sRGB per vertex.
-    pub colors: Vec<[u8; 3]>,
-    pub texture: Option<Arc<image::RgbImage>>,
-}
+use std::path::Path;
 
 /// Loads a mesh by its extension (ply, obj, stl, glb, gltf) and multiplies coordinates by `scale_to_metres`.
 ///

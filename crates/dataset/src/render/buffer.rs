@@ -3,9 +3,9 @@
 use unopose_core::geometry::Intrinsics;
 
 use super::{
+    camera::Camera,
     raster::{self, Window},
     scene::Placed,
-    view::Camera,
 };
 
 /// Face seen at a sample.

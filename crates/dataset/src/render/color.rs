@@ -4,10 +4,12 @@ use nalgebra::Vector3;
 
 use super::{
     buffer::VisibilityBuffer,
+    camera::Camera,
+    lighting::LitScene,
     rays::Rays,
     room::RoomView,
     shading::Reflection,
-    view::{Camera, SceneRenderer, SurfaceKey, Surfel},
+    surfel::{SurfaceKey, Surfel},
 };
 
 /// Samples of one surface whose normals differ by less than this cosine share their light.
@@ -20,60 +22,57 @@ struct Lit {
     reflection: Reflection,
 }
 
-impl SceneRenderer<'_> {
-    /// Radiance averaged over `density`² samples per pixel. `surfels` are those of the pixel centres,
-    /// `gathered` is the ambient light there, if it was gathered.
-    pub(super) fn radiance(
-        &self,
-        camera: &Camera,
-        density: u32,
-        surfels: &[(SurfaceKey, Surfel)],
-        gathered: Option<&[[f32; 3]]>,
-    ) -> Vec<[f32; 3]> {
-        let buffer = VisibilityBuffer::new(&self.scene().objects, camera, density);
-        let rays = Rays::new(camera, &buffer.intrinsics);
-        let room = RoomView::new(&self.scene().room, camera);
-        let mut lit: Vec<Lit> = Vec::new();
-        let mut radiance = Vec::with_capacity(surfels.len());
-        for row in 0..camera.height {
-            let line = room.line(row);
-            for col in 0..camera.width {
-                let pixel = radiance.len();
-                let arriving = gathered.map(|g| g[pixel]);
-                lit.clear();
-                let mut sum = [0f32; 3];
-                for k in 0..density * density {
-                    let (x, y) = (col * density + k % density, row * density + k / density);
-                    let sample = &buffer.samples[(y * buffer.width + x) as usize];
-                    let direction = rays.direction(x, y);
-                    let (key, surfel) = self.seen(&rays.origin, &direction, sample, &line, col).1;
-                    let near = |l: &&Lit| l.key == key && l.normal.dot(&surfel.normal) > ALIKE;
-                    let reflection = match lit.iter().find(near) {
-                        Some(known) => known.reflection,
-                        None => {
-                            // The light of a pixel's centre where it belongs to the same surface.
-                            let center = Some(&surfels[pixel]).filter(|(center_key, center)| {
-                                *center_key == key && center.normal.dot(&surfel.normal) > ALIKE
-                            });
-                            let of = center.map_or(&surfel, |c| &c.1);
-                            let to_camera = (rays.origin - of.point).normalize();
-                            let turn = filter_turn(col, row, lit.len() as u32);
-                            let reflection = self.reflection(of, &to_camera, turn, arriving);
-                            lit.push(Lit { key, normal: of.normal, reflection });
-                            reflection
-                        }
-                    };
-                    let color = reflection.of(&surfel.albedo);
-                    // A clipped sample keeps its edge smooth; an unclipped highlight would turn the whole pixel white.
-                    (0..3).for_each(|k| sum[k] += color[k].min(4.0));
-                }
-                radiance.push(sum.map(|s| s / (density * density) as f32));
+/// Radiance averaged over `density`² samples per pixel. `surfels` are those of the pixel centres,
+/// `gathered` is the ambient light there, if it was gathered.
+pub(super) fn radiance(
+    lit_scene: &LitScene,
+    camera: &Camera,
+    density: u32,
+    surfels: &[(SurfaceKey, Surfel)],
+    gathered: Option<&[[f32; 3]]>,
+) -> Vec<[f32; 3]> {
+    let buffer = VisibilityBuffer::new(&lit_scene.scene.objects, camera, density);
+    let rays = Rays::new(camera, &buffer.intrinsics);
+    let room = RoomView::new(&lit_scene.scene.room, camera);
+    let mut lit: Vec<Lit> = Vec::new();
+    let mut radiance = Vec::with_capacity(surfels.len());
+    for row in 0..camera.height {
+        let line = room.line(row);
+        for col in 0..camera.width {
+            let pixel = radiance.len();
+            let arriving = gathered.map(|g| g[pixel]);
+            lit.clear();
+            let mut sum = [0f32; 3];
+            for k in 0..density * density {
+                let (x, y) = (col * density + k % density, row * density + k / density);
+                let sample = &buffer.samples[(y * buffer.width + x) as usize];
+                let direction = rays.direction(x, y);
+                let (key, surfel) = lit_scene.seen(&rays.origin, &direction, sample, &line, col).1;
+                let near = |l: &&Lit| l.key == key && l.normal.dot(&surfel.normal) > ALIKE;
+                let reflection = match lit.iter().find(near) {
+                    Some(known) => known.reflection,
+                    None => {
+                        // The light of a pixel's centre where it belongs to the same surface.
+                        let center = Some(&surfels[pixel]).filter(|(center_key, center)| {
+                            *center_key == key && center.normal.dot(&surfel.normal) > ALIKE
+                        });
+                        let of = center.map_or(&surfel, |c| &c.1);
+                        let to_camera = (rays.origin - of.point).normalize();
+                        let turn = filter_turn(col, row, lit.len() as u32);
+                        let reflection = lit_scene.reflection(of, &to_camera, turn, arriving);
+                        lit.push(Lit { key, normal: of.normal, reflection });
+                        reflection
+                    }
+                };
+                let color = reflection.of(&surfel.albedo);
+                // A clipped sample keeps its edge smooth; an unclipped highlight would turn the whole pixel white.
+                (0..3).for_each(|k| sum[k] += color[k].min(4.0));
             }
+            radiance.push(sum.map(|s| s / (density * density) as f32));
         }
-        radiance
     }
+    radiance
 }
-
 /// Rotation (cos, sin) of the shadow filter, varying from pixel to pixel so that banding becomes grain.
 fn filter_turn(col: u32, row: u32, surface: u32) -> [f32; 2] {
     let place =

@@ -11,8 +11,9 @@ use parry3d::{
 
 use super::{
     buffer::Sample,
+    lighting::LitScene,
     scene::{Placed, Scene},
-    view::{Rendering, SceneRenderer, SurfaceKey, Surfel},
+    surfel::{SurfaceKey, Surfel},
 };
 
 /// An object ready for rays.
@@ -82,26 +83,29 @@ impl Bounces {
         Self { targets: scene.objects.iter().map(Target::new).collect(), rays }
     }
 
-    /// Mean radiance that reaches every pixel's surface from its hemisphere, cosine-weighted.
+    /// Mean radiance that reaches every pixel's surface from its hemisphere, cosine-weighted. `ids` and `surfels` are
+    /// row-major with `width` columns.
     pub fn gather(
         &self,
-        renderer: &SceneRenderer,
-        view: &Rendering,
+        lit_scene: &LitScene,
+        ids: &[u16],
+        width: u32,
         surfels: &[(SurfaceKey, Surfel)],
     ) -> Vec<[f32; 3]> {
-        let width = view.depth.width as usize;
+        let width = width as usize;
+        let height = ids.len() / width.max(1);
         let raw: Vec<Vector3<f32>> =
-            surfels.iter().enumerate().map(|(i, s)| self.hemisphere(renderer, &s.1, i)).collect();
+            surfels.iter().enumerate().map(|(i, s)| self.hemisphere(lit_scene, &s.1, i)).collect();
         let smooth = |i: usize| {
             let (col, row) = ((i % width) as i32, (i / width) as i32);
             let (mut sum, mut weight) = (Vector3::zeros(), 0.0);
             for r in row - SHARED..=row + SHARED {
                 for c in col - SHARED..=col + SHARED {
-                    if r < 0 || c < 0 || c >= width as i32 || r >= view.depth.height as i32 {
+                    if r < 0 || c < 0 || c >= width as i32 || r >= height as i32 {
                         continue;
                     }
                     let k = r as usize * width + c as usize;
-                    let alike = view.ids[k] == view.ids[i]
+                    let alike = ids[k] == ids[i]
                         && surfels[k].1.normal.dot(&surfels[i].1.normal) > 0.9
                         && (surfels[k].1.point - surfels[i].1.point).norm() < 0.05;
                     if alike {
@@ -115,7 +119,7 @@ impl Bounces {
         (0..raw.len()).map(smooth).collect()
     }
 
-    fn hemisphere(&self, renderer: &SceneRenderer, surfel: &Surfel, pixel: usize) -> Vector3<f32> {
+    fn hemisphere(&self, lit_scene: &LitScene, surfel: &Surfel, pixel: usize) -> Vector3<f32> {
         let normal = surfel.normal;
         let helper = if normal.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
         let tangent = normal.cross(&helper).normalize();
@@ -129,18 +133,18 @@ impl Bounces {
             let angle = std::f32::consts::TAU * (shift_v + k as f32 * 0.618_034).fract();
             let (r, (s, c)) = (u.sqrt(), angle.sin_cos());
             let direction = tangent * (r * c) + side * (r * s) + normal * (1.0 - u).sqrt();
-            self.incoming(renderer, &origin, &direction)
+            self.incoming(lit_scene, &origin, &direction)
         };
         (0..self.rays).map(ray).sum::<Vector3<f32>>() / self.rays as f32
     }
 
     fn incoming(
         &self,
-        renderer: &SceneRenderer,
+        lit_scene: &LitScene,
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
     ) -> Vector3<f32> {
-        let room = renderer.scene().room.meet(origin, direction);
+        let room = lit_scene.scene.room.meet(origin, direction);
         let mut nearest = (room.t, None);
         for (i, target) in self.targets.iter().enumerate() {
             let Some(target) = target else { continue };
@@ -149,12 +153,14 @@ impl Bounces {
             }
         }
         match nearest.1 {
-            Some(sample) => renderer.bounced(&renderer.surfel(origin, direction, &sample, &None), direction),
+            Some(sample) => {
+                lit_scene.bounced(&lit_scene.surfel(origin, direction, &sample, &None), direction)
+            }
             // Walls far away are part of the surroundings' light.
-            None if room.is_wall() => renderer.surroundings(direction),
+            None if room.is_wall() => lit_scene.surroundings(direction),
             None => {
-                let surfel = renderer.surfel(origin, direction, &Sample::default(), &Some(room));
-                renderer.bounced(&surfel, direction)
+                let surfel = lit_scene.surfel(origin, direction, &Sample::default(), &Some(room));
+                lit_scene.bounced(&surfel, direction)
             }
         }
     }

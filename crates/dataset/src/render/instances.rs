@@ -3,9 +3,9 @@
 use unopose_core::frame::Mask;
 
 use super::{
+    camera::Camera,
     raster::{self, Window},
     scene::Placed,
-    view::Camera,
 };
 
 /// What BOP's `gt_info` and masks say about one instance.

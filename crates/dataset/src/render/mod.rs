@@ -6,10 +6,12 @@
 //! it in the tests.
 
 mod buffer;
+mod camera;
 mod color;
 pub mod depth;
 mod indirect;
 mod instances;
+mod lighting;
 mod posed;
 mod raster;
 mod rays;
@@ -17,10 +19,12 @@ mod room;
 mod scene;
 mod shading;
 mod shadow;
+mod surfel;
 pub mod texture;
 mod view;
 
+pub use camera::Camera;
 pub use instances::{InstanceView, instance_views};
 pub use posed::{PosedView, posed_view};
 pub use scene::{Block, Finish, Light, Placed, Room, Scene, Surface};
-pub use view::{Camera, Rendering, SceneRenderer};
+pub use view::{Rendering, SceneRenderer};

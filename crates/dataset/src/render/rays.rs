@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use unopose_core::geometry::Intrinsics;
 
-use super::view::Camera;
+use super::camera::Camera;
 
 /// Viewing rays in the world; `origin + z * direction` lies at depth z.
 pub(super) struct Rays {

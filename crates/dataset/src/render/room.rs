@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 
 use super::{
+    camera::Camera,
     scene::{Block, Finish, Room, Surface},
     texture::{self, Wrap},
-    view::Camera,
 };
 
 /// Where a ray meets the surroundings.

@@ -15,6 +15,7 @@ mod coco;
 mod error;
 mod matching;
 mod object;
+mod options;
 mod outcome;
 mod pose_detection;
 mod pose_error;
@@ -36,12 +37,13 @@ pub use coco::{
 pub use error::EvalError;
 pub use matching::match_estimates;
 pub use object::EvalObject;
+pub use options::ScoreOptions;
 pub use outcome::{Hits, PoseErrors, TargetOutcome};
 pub use pose_detection::{ObjectEstimates, PoseMap};
 pub use pose_error::{add, add_s, mspd, mssd, rotation_error_deg};
 pub use reliability::{Reliability, ReliabilityBin};
 pub use scores::{AverageRecall, BinScore, EstimateCounts, MeanTimes, Scores, average_recall};
-pub use scoring::{Evaluation, ScoreFiles, ScoreOptions, score_files, score_results};
+pub use scoring::{Evaluation, ScoreFiles, score_files, score_results};
 pub use segmentation::{SegmentationScores, score_segmentation};
 pub use vsd::{TestView, vsd};
 

@@ -6,9 +6,10 @@ use unopose_core::geometry::Pose;
 use unopose_dataset::formats::{BopScene, PoseResult, Target};
 
 use super::{
-    EvalError, EvalObject, PoseErrors, REFERENCE_WIDTH, ScoreOptions, TargetOutcome,
+    EvalError, EvalObject, PoseErrors, REFERENCE_WIDTH, TargetOutcome,
     coco::MIN_VISIBILITY,
     matching::top,
+    options::ScoreOptions,
     outcome::{answers, hits},
     pose_detection::{MAX_ESTIMATES, ObjectEstimates},
     pose_error::{mspd, mssd},

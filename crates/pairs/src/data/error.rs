@@ -23,12 +23,10 @@ pub enum DataError {
     )]
     TooFewPoints { count: usize, total: usize, limit: f64, minimum: usize },
     #[error(
-        "the reference's radius is {radius} m, expected between {} and {} m: is depth_scale (depth unit to \
-         millimetres) right?",
-        super::MIN_RADIUS,
-        super::MAX_RADIUS
+        "the reference's radius is {radius} m, expected between {minimum} and {maximum} m: is depth_scale (depth unit to \
+         millimetres) right?"
     )]
-    Radius { radius: f32 },
+    Radius { radius: f32, minimum: f32, maximum: f32 },
     #[error("the dataset has no instance that is visible enough and has a reference view in another image")]
     NoPairs,
     #[error("sample {index}: {attempts} instances in a row were rejected, the last because {last}")]

@@ -25,5 +25,5 @@ pub use prepare::{
     CloudInput, PreparedReference, metric_pose, normalised_pose, positional_groups, prepare_query,
     prepare_reference, query_from_points, reference_from_points,
 };
-pub use selection::{MAX_RADIUS, MIN_RADIUS};
+pub use selection::MAX_RADIUS;
 pub use stream::BatchStream;

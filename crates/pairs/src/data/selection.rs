@@ -16,7 +16,7 @@ use super::{
 };
 
 /// Smallest plausible reference radius, metres.
-pub const MIN_RADIUS: f32 = 1e-3;
+const MIN_RADIUS: f32 = 1e-3;
 /// Largest plausible reference radius, metres.
 pub const MAX_RADIUS: f32 = 5.0;
 /// An object needs more masked pixels than this.
@@ -112,7 +112,11 @@ fn near_the_median(points: &[[f32; 3]], reach: f64) -> Vec<u32> {
 }
 
 fn check_radius(radius: f32) -> Result<(), DataError> {
-    if (MIN_RADIUS..=MAX_RADIUS).contains(&radius) { Ok(()) } else { Err(DataError::Radius { radius }) }
+    if (MIN_RADIUS..=MAX_RADIUS).contains(&radius) {
+        Ok(())
+    } else {
+        Err(DataError::Radius { radius, minimum: MIN_RADIUS, maximum: MAX_RADIUS })
+    }
 }
 
 fn masked_view(

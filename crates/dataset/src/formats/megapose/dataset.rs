@@ -14,22 +14,11 @@ use super::{
         models::read_models_info,
     },
     archive::Archive,
-    index::Published,
+    index_files::IndexFiles,
+    instance::{InstanceRef, instance_refs},
     records::{ImageRecords, MemberKind, from_json},
     shard_image::{ShardImage, check_counts},
 };
-
-/// One instance of one image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct InstanceRef {
-    /// Index into [`ShardDataset::image_keys`].
-    pub image: u32,
-    /// Position in the image's `gt.json`.
-    pub instance: u32,
-    pub obj_id: u32,
-    pub visib_fract: f32,
-    pub px_count_visib: u32,
-}
 
 /// A folder of shards.
 #[derive(Debug)]
@@ -57,7 +46,7 @@ impl ShardDataset {
         let hint = "shard-NNNNNN.tar files or NNNNNN folders, there or in train_pbr_web/";
         let folder = folder.ok_or_else(|| FormatError::missing(dir.display(), "shards", hint))?;
         let parent = folder.parent().map(Path::to_path_buf).unwrap_or_default();
-        let published = Published::read(&[&folder, &parent])?;
+        let index_files = IndexFiles::read(&[&folder, &parent])?;
         let scanned: Vec<(u32, Archive, Vec<ImageInstances>, Vec<String>)> =
             shard_paths(&folder).into_par_iter().map(|(number, path)| scan_shard(number, &path)).collect();
         let mut dataset = Self {
@@ -74,7 +63,7 @@ impl ShardDataset {
         for (number, archive, images, problems) in scanned {
             dataset.problems.extend(problems);
             for (key, instances) in images {
-                dataset.add_image(key, instances, &published);
+                dataset.add_image(key, instances, &index_files);
             }
             dataset.shards.push((number, archive));
         }
@@ -94,12 +83,12 @@ impl ShardDataset {
         Ok(dataset)
     }
 
-    fn add_image(&mut self, key: String, instances: Vec<InstanceRef>, published: &Published) {
+    fn add_image(&mut self, key: String, instances: Vec<InstanceRef>, index_files: &IndexFiles) {
         let image = self.keys.len() as u32;
         for instance in instances {
             let instance = InstanceRef { image, ..instance };
-            if published.is_valid(&key, &instance) {
-                if published.is_reference(&key, &instance) {
+            if index_files.is_valid(&key, &instance) {
+                if index_files.is_reference(&key, &instance) {
                     self.references.entry(instance.obj_id).or_default().push(self.instances.len());
                 }
                 self.instances.push(instance);
@@ -209,17 +198,4 @@ fn scan_shard(number: u32, path: &Path) -> (u32, Archive, Vec<ImageInstances>, V
         Err(error) => problems.push(error.to_string()),
     }
     (number, archive, images, problems)
-}
-
-fn instance_refs(gt: &[GtRecord], info: &[GtInfoRecord]) -> Vec<InstanceRef> {
-    let pairs = gt.iter().zip(info).enumerate();
-    pairs
-        .map(|(i, (gt, info))| InstanceRef {
-            image: 0,
-            instance: i as u32,
-            obj_id: gt.obj_id,
-            visib_fract: info.visib_fract as f32,
-            px_count_visib: info.px_count_visib,
-        })
-        .collect()
 }

@@ -7,18 +7,19 @@
 mod archive;
 mod dataset;
 mod file;
-mod index;
+mod index_files;
+mod instance;
 mod records;
 mod shard_image;
+mod write_index;
 mod writer;
 
-pub use dataset::{InstanceRef, ShardDataset};
+pub use dataset::ShardDataset;
 pub use file::ShardFile;
-pub use index::{
-    REFERENCE_VISIB_FRACT, ReferenceEntry, VALID_PX_COUNT_VISIB, VALID_VISIB_FRACT, valid_px_count_visib,
-    write_index_files,
-};
-pub use records::{ImageRecords, MemberKind};
+pub use index_files::{ReferenceEntry, ShardName};
+pub use instance::InstanceRef;
+pub use records::ImageRecords;
+pub use write_index::write_index_files;
 pub use writer::{EncodedImage, ShardWriter, shard_file_name};
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::super::{
 
 /// What a member `KEY.<extension>` holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum MemberKind {
+pub(super) enum MemberKind {
     Camera,
     Depth,
     Gt,

@@ -5,8 +5,12 @@ use unopose_core::geometry::Pose;
 
 use super::{
     super::surface::{Surface, vector},
-    IcpSettings, MAX_QUERY_POINTS, MAX_SHIFT, MAX_TURN_DEG, Metric, motion,
+    motion::{MAX_SHIFT, MAX_TURN_DEG, motion},
+    settings::{IcpSettings, Metric},
 };
+
+/// At most this many query points, evenly spaced, count in an iteration.
+const MAX_QUERY_POINTS: usize = 1200;
 
 /// Motion, in extents, below which the iterations end.
 const CONVERGED: f64 = 1e-5;
