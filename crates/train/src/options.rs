@@ -4,7 +4,7 @@ use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use burn::tensor::Device;
 
-use super::{interrupt::Interrupt, journal::ValidationRecord};
+use super::{interrupt::Interrupt, journal::ValidationRecord, observer::TrainObserver};
 
 /// What a call adds to the configuration.
 pub struct TrainOptions {
@@ -24,6 +24,8 @@ pub struct TrainOptions {
     pub stop_at: Option<u64>,
     /// Set from outside (Ctrl-C) to save and leave.
     pub interrupt: Arc<Interrupt>,
+    /// Told how far the run is; `Arc::new(())` for nobody.
+    pub observer: Arc<dyn TrainObserver>,
 }
 
 /// Why a call ended.

@@ -18,9 +18,9 @@ use super::{
     datasets::Datasets,
     failure, figures, folder,
     journal::{Event, Journal, StepRecord, ValidationRecord},
+    observer::{Phase, PhaseExtent},
     optimization::Optimization,
     options::{Ending, TrainOptions, TrainOutcome},
-    progress,
     replicas::{self, Pass, TOTAL},
     schedule::{Schedule, TimeBudget},
     state::{self, Progress},
@@ -36,7 +36,7 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;
         return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
     }
-    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.interrupt)? else {
+    let Some(datasets) = Datasets::open_or_generate(config, options)? else {
         let step = state::read_progress(&options.out)?.map_or(0, |(step, _)| step);
         return Ok(TrainOutcome { ending: Ending::Interrupted, step, validations: Vec::new() });
     };
@@ -123,8 +123,9 @@ impl<'a> Run<'a> {
             workers(train.workers),
             train.prefetch,
         );
-        let mut bar = progress::Progress::new("training", first_step, train.steps)
-            .limited(budget.as_ref().map(|b| b.training));
+        let observer = self.options.observer.clone();
+        let extent = PhaseExtent::new(first_step, train.steps);
+        observer.begin(Phase::Training, extent.with_time_limit(budget.as_ref().map(|b| b.training)));
         let mut ending = Ending::Finished;
         while self.optimization.step() < train.steps {
             let enough = self.options.stop_at.is_some_and(|stop| self.optimization.step() >= stop);
@@ -143,16 +144,17 @@ impl<'a> Run<'a> {
                 None => (step as f64, 1.0),
             };
             let record = self.step(&mut batches, ramp * self.schedule.learning_rate(position))?;
-            bar.set(record.step, &format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate));
+            let note = format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate);
+            observer.advance(Phase::Training, record.step, &note);
             self.journal.append(&Event::Step(record))?;
-            self.keep_up(&bar)?;
+            self.keep_up()?;
         }
-        bar.finish();
+        observer.end(Phase::Training);
         self.end(ending)
     }
 
     /// Validation and checkpoints that have become due.
-    fn keep_up(&mut self, bar: &progress::Progress) -> Result<(), TrainError> {
+    fn keep_up(&mut self) -> Result<(), TrainError> {
         let train = &self.config.train;
         let step = self.optimization.step();
         let minutes = self.last_validation.elapsed().as_secs_f64() / 60.0;
@@ -160,7 +162,7 @@ impl<'a> Run<'a> {
             || (train.validate_minutes > 0.0 && minutes >= train.validate_minutes);
         if due && step < train.steps {
             let record = self.validate()?;
-            bar.line(&format!("step {step}: {}", record.describe()));
+            self.options.observer.line(&format!("step {step}: {}", record.describe()));
         }
         if due || self.last_checkpoint.elapsed().as_secs_f64() >= train.checkpoint_seconds {
             self.save()?;
@@ -230,7 +232,8 @@ impl<'a> Run<'a> {
     fn validate(&mut self) -> Result<ValidationRecord, TrainError> {
         let begin = Instant::now();
         let model = self.optimization.deployed();
-        let mut record = self.validation.run(&model, self.config, &self.options.device)?;
+        let mut record =
+            self.validation.run(&model, self.config, &self.options.device, &*self.options.observer)?;
         record.step = self.optimization.step();
         record.elapsed_s = self.elapsed_s();
         self.journal.append(&Event::Validation(record.clone()))?;
