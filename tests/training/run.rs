@@ -11,7 +11,7 @@ use burn::tensor::Device;
 use unopose_core::config::Config;
 use unopose_nn::checkpoint::TensorFile;
 use unopose_train::{
-    Ending, Event, Journal, Phase, PhaseExtent, TrainError, TrainObserver, TrainOptions, train,
+    Event, Journal, Phase, PhaseExtent, StopReason, TrainError, TrainObserver, TrainOptions, train,
 };
 
 fn config(overrides: &[&str]) -> Config {
@@ -85,7 +85,7 @@ fn the_loss_falls_and_a_second_call_says_finished() {
     let recorder = Arc::new(Recorder::default());
     let options = TrainOptions { observer: recorder.clone(), ..options(folder.path(), "run") };
     let outcome = train(&config, &options).unwrap();
-    assert_eq!((outcome.ending, outcome.step), (Ending::Finished, 60));
+    assert_eq!((outcome.stop_reason, outcome.step), (StopReason::Finished, 60));
     let losses = losses(&options.out);
     assert_eq!(losses.len(), 60);
     let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
@@ -115,7 +115,7 @@ fn the_loss_falls_and_a_second_call_says_finished() {
     assert_eq!(resolved, config);
     let weights = bits(&options.out.join("last.safetensors"));
     let again = train(&config, &options).unwrap();
-    assert_eq!((again.ending, again.step), (Ending::AlreadyFinished, 60));
+    assert_eq!((again.stop_reason, again.step), (StopReason::AlreadyFinished, 60));
     assert_eq!(bits(&options.out.join("last.safetensors")), weights);
 }
 
@@ -129,9 +129,9 @@ fn an_interrupted_run_resumes_bit_for_bit() {
     let mut parts = options(folder.path(), "parts");
     parts.stop_at = Some(6);
     let outcome = train(&config, &parts).unwrap();
-    assert_eq!((outcome.ending, outcome.step), (Ending::Interrupted, 6));
+    assert_eq!((outcome.stop_reason, outcome.step), (StopReason::Interrupted, 6));
     parts.stop_at = None;
-    assert_eq!(train(&config, &parts).unwrap().ending, Ending::Finished);
+    assert_eq!(train(&config, &parts).unwrap().stop_reason, StopReason::Finished);
 
     for file in ["last.safetensors", "best.safetensors", "state-12/average.safetensors"] {
         assert_eq!(bits(&parts.out.join(file)), bits(&whole.out.join(file)), "{file}");
@@ -151,7 +151,7 @@ fn a_time_limit_ends_the_run_cleanly_at_a_small_learning_rate() {
     options.time_limit = Some(Duration::from_secs(9));
     let begin = std::time::Instant::now();
     let outcome = train(&config, &options).unwrap();
-    assert_eq!(outcome.ending, Ending::TimeUp);
+    assert_eq!(outcome.stop_reason, StopReason::TimeUp);
     assert!(outcome.step > 0 && begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
     assert_eq!(outcome.validations.last().unwrap().step, outcome.step);
     let events = Journal::read(&options.out.join("metrics.jsonl")).unwrap();

@@ -14,7 +14,7 @@ use clap::Parser;
 use unopose_core::{config::Config, explain};
 use unopose_eval::report::Table;
 use unopose_nn::device::{DeviceChoice, keep_freed_memory};
-use unopose_train::{Ending, Interrupt, TrainOptions, TrainOutcome, train};
+use unopose_train::{Interrupt, StopReason, TrainOptions, TrainOutcome, train};
 
 use progress::ProgressBars;
 
@@ -125,11 +125,12 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
     let step = outcome.step;
     println!(
         "{}",
-        match outcome.ending {
-            Ending::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
-            Ending::Finished => format!("finished: {step} steps"),
-            Ending::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
-            Ending::Interrupted => format!("interrupted after {step} of {} steps, saved", config.train.steps),
+        match outcome.stop_reason {
+            StopReason::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
+            StopReason::Finished => format!("finished: {step} steps"),
+            StopReason::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
+            StopReason::Interrupted =>
+                format!("interrupted after {step} of {} steps, saved", config.train.steps),
         }
     );
     let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
