@@ -12,7 +12,7 @@ use unopose_dataset::formats::megapose::{ShardDataset, ShardWriter, shard_file_n
 
 use super::{
     SynthError,
-    folder::{Layout, check, claim},
+    folder::{Layout, check, reserve},
     models::{ObjectCache, write_models},
     random::{Domain, stream},
     shard,
@@ -27,7 +27,7 @@ pub enum Stage {
 
 /// State of a running generation.
 #[derive(Clone, Copy, Debug)]
-pub struct Progress {
+pub struct GenerationProgress {
     pub stage: Stage,
     /// Items finished, those of earlier runs included.
     pub done: usize,
@@ -36,7 +36,7 @@ pub struct Progress {
 
 /// What a generation did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Summary {
+pub struct GenerationSummary {
     /// Shards, or scenes of a BOP set.
     pub shards_written: usize,
     /// Shards that were there already.
@@ -49,14 +49,14 @@ pub struct Summary {
 const SET_NAME: &str = "gso";
 
 /// Makes the whole set in `out`: shards, models, index files. Finished shards of an earlier run are kept, so that a
-/// killed run continues where it stopped. `progress` is called from several threads.
+/// killed run can be resumed. `progress` is called from several threads.
 pub fn generate(
     config: &SynthConfig,
     out: &Path,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     check(config)?;
-    claim(config, out, Layout::Shards)?;
+    reserve(config, out, Layout::Shards)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, SET_NAME, &mut cache, progress)?;
     let shards = config.images.div_ceil(config.images_per_shard.max(1)) as u32;
@@ -75,10 +75,10 @@ pub fn generate_shards(
     config: &SynthConfig,
     out: &Path,
     shards: Range<u32>,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     check(config)?;
-    claim(config, out, Layout::Shards)?;
+    reserve(config, out, Layout::Shards)?;
     make_shards(config, out, shards, &mut ObjectCache::new(config)?, progress)
 }
 
@@ -87,17 +87,17 @@ fn make_shards(
     out: &Path,
     shards: Range<u32>,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     let per_shard = config.images_per_shard;
     let images_in = |shard: u32| (config.images.saturating_sub(shard as usize * per_shard)).min(per_shard);
     let total = shards.clone().map(images_in).sum();
     let done = AtomicUsize::new(0);
     let report = |finished: usize| {
         let done = done.fetch_add(finished, Ordering::Relaxed) + finished;
-        progress(Progress { stage: Stage::Images, done, total });
+        progress(GenerationProgress { stage: Stage::Images, done, total });
     };
-    let mut summary = Summary::default();
+    let mut summary = GenerationSummary::default();
     for shard in shards {
         let path = out.join("train_pbr_web").join(shard_file_name(shard));
         let images = images_in(shard);
@@ -106,9 +106,9 @@ fn make_shards(
             report(images);
             continue;
         }
-        let stock = cache.stock(config, shard);
+        let assets = cache.scene_assets(config, shard);
         let mut writer = ShardWriter::default();
-        for image in shard::encode_shard(config, &stock, shard, images, &report)? {
+        for image in shard::encode_shard(config, &assets, shard, images, &report)? {
             writer.push(image);
         }
         writer.write(&path)?;

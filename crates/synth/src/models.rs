@@ -14,11 +14,11 @@ use unopose_dataset::{
 };
 
 use super::{
-    Progress, Stage, SynthError,
+    GenerationProgress, Stage, SynthError,
     background::Backgrounds,
     generate::pool_of,
     object::{ObjectLibrary, SynthObject},
-    scene::Stock,
+    scene::SceneAssets,
 };
 
 /// The objects of the current pool; those of the next pool are taken over.
@@ -43,7 +43,7 @@ impl ObjectCache {
     }
 
     /// What the scenes of a shard are made of. Distractors have ids above those of the set's objects.
-    pub fn stock(&mut self, config: &SynthConfig, shard: u32) -> Stock {
+    pub fn scene_assets(&mut self, config: &SynthConfig, shard: u32) -> SceneAssets {
         let mut ids = pool_of(config, shard);
         let own = ids.len();
         if config.distractors[1] > 0 {
@@ -52,7 +52,7 @@ impl ObjectCache {
         }
         let mut objects = self.get(&ids, &|| {});
         let distractors = objects.split_off(own);
-        Stock { objects, distractors, backgrounds: self.backgrounds.clone() }
+        SceneAssets { objects, distractors, backgrounds: self.backgrounds.clone() }
     }
 
     /// The objects in the order of `ids`; `done` is called after each one that had to be made.
@@ -84,7 +84,7 @@ pub(super) fn write_models(
     out: &Path,
     set: &str,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(GenerationProgress) + Sync),
 ) -> Result<(), SynthError> {
     let (folder, names_file) = (out.join("models"), out.join(format!("{set}_models.json")));
     let info_file = folder.join("models_info.json");
@@ -94,7 +94,7 @@ pub(super) fn write_models(
     let (done, total) = (AtomicUsize::new(0), config.objects);
     let report = || {
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-        progress(Progress { stage: Stage::Objects, done, total });
+        progress(GenerationProgress { stage: Stage::Objects, done, total });
     };
     let mut names = Vec::new();
     let mut infos = BTreeMap::new();

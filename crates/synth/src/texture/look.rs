@@ -99,7 +99,7 @@ impl Look {
     }
 
     /// What is left of a shape's symmetry with these colours on the given parts.
-    pub fn keep(&self, symmetry: Symmetry, parts: &[u8]) -> Symmetry {
+    pub fn remaining_symmetry(&self, symmetry: Symmetry, parts: &[u8]) -> Symmetry {
         let used: Vec<&Pattern> = (0..PARTS)
             .filter(|&k| parts.iter().any(|&p| p as usize % PARTS == k))
             .map(|k| &self.patterns[k])
