@@ -2,7 +2,7 @@
 
 use unopose_core::frame::{BoundingBox, Mask, RgbdFrame};
 
-use super::{Prompt, SegmentError, prompted};
+use super::{Prompt, SegmentError, select_by_prompt};
 
 /// Proposals per image at most.
 pub const MAX_PROPOSALS: usize = 100;
@@ -39,13 +39,13 @@ pub trait ProposalGenerator: Send + Sync {
 
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
 
-    /// The mask that a click or a box means: one of the proposals, or their union.
-    fn prompted(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
+    /// The mask that a point or a box means: one of the proposals, or their union.
+    fn segment_prompt(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
         prompt.check(frame.width(), frame.height())?;
         let proposals = self.proposals(frame, None)?;
         if proposals.is_empty() {
             return Err(SegmentError::NotFound { image: "the image".into(), proposals: 0 });
         }
-        prompted(&proposals, prompt, frame.width(), frame.height())
+        select_by_prompt(&proposals, prompt, frame.width(), frame.height())
     }
 }
