@@ -3,7 +3,6 @@
 use std::time::Instant;
 
 use unopose_core::frame::RgbdFrame;
-use unopose_dataset::formats::{detections::Detection, rle::Rle};
 
 use super::{Assignment, ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
 
@@ -51,28 +50,5 @@ impl<M: Matcher> UnoSeg<'_, M> {
             proposal_seconds,
             seconds: start.elapsed().as_secs_f64(),
         })
-    }
-}
-
-impl Proposal {
-    /// The proposal in the list format of detections.
-    pub fn detection(
-        &self,
-        scene_id: u32,
-        image_id: u32,
-        category_id: u32,
-        score: f64,
-        time: f64,
-    ) -> Detection {
-        let b = &self.bounds;
-        Detection {
-            scene_id,
-            image_id,
-            category_id,
-            bbox: [b.col_min, b.row_min, b.col_max - b.col_min, b.row_max - b.row_min].map(f64::from),
-            score,
-            time,
-            segmentation: Rle::encode_compressed(&self.mask),
-        }
     }
 }

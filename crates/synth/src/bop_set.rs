@@ -18,10 +18,12 @@ use unopose_dataset::{
 };
 
 use super::{
-    GenerationProgress, GenerationSummary, Stage, SynthError, bop_lists,
+    SynthError, bop_lists,
     folder::{Layout, check, reserve},
-    models::{ObjectCache, write_models},
+    models::write_models,
     object::SynthObject,
+    object_cache::ObjectCache,
+    progress::{GenerationProgress, GenerationSummary, Stage},
     shard::{self, Image},
 };
 

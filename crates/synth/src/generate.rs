@@ -6,45 +6,17 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use rand::seq::index;
 use unopose_core::config::SynthConfig;
 use unopose_dataset::formats::megapose::{ShardDataset, ShardWriter, shard_file_name, write_index_files};
 
 use super::{
     SynthError,
     folder::{Layout, check, reserve},
-    models::{ObjectCache, write_models},
-    random::{Domain, stream},
+    models::write_models,
+    object_cache::ObjectCache,
+    progress::{GenerationProgress, GenerationSummary, Stage},
     shard,
 };
-
-/// What is being made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    Objects,
-    Images,
-}
-
-/// State of a running generation.
-#[derive(Clone, Copy, Debug)]
-pub struct GenerationProgress {
-    pub stage: Stage,
-    /// Items finished, those of earlier runs included.
-    pub done: usize,
-    pub total: usize,
-}
-
-/// What a generation did.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct GenerationSummary {
-    /// Shards, or scenes of a BOP set.
-    pub shards_written: usize,
-    /// Shards that were there already.
-    pub shards_kept: usize,
-    pub images_written: usize,
-    /// Procedural objects in place of mesh files that could not be used.
-    pub meshes_replaced: usize,
-}
 
 const SET_NAME: &str = "gso";
 
@@ -117,16 +89,6 @@ fn make_shards(
     }
     summary.meshes_replaced = cache.replaced();
     Ok(summary)
-}
-
-/// Ids of the objects that the scenes of a shard draw from, ascending.
-pub(super) fn pool_of(config: &SynthConfig, shard: u32) -> Vec<u32> {
-    let amount = config.objects_per_shard.min(config.objects);
-    let mut rng = stream(config.seed, Domain::Pool, shard.into());
-    let mut pool: Vec<u32> =
-        index::sample(&mut rng, config.objects, amount).iter().map(|i| i as u32 + 1).collect();
-    pool.sort_unstable();
-    pool
 }
 
 fn remove_index_files(out: &Path) -> Result<(), SynthError> {

@@ -15,9 +15,12 @@ mod folder;
 mod generate;
 mod mesh_folder;
 mod models;
+mod noise;
 mod object;
+mod object_cache;
 mod physics;
 mod place;
+mod progress;
 mod random;
 mod scene;
 mod sensor;
@@ -30,8 +33,9 @@ pub use check::{CheckReport, Finding, Histogram, PartReport, Statistics, check_d
 pub use contact_sheet::contact_sheet;
 pub use error::SynthError;
 pub use folder::remove_generated;
-pub use generate::{GenerationProgress, GenerationSummary, Stage, generate, generate_shards};
+pub use generate::{generate, generate_shards};
 pub use object::{ObjectLibrary, SynthObject};
+pub use progress::{GenerationProgress, GenerationSummary, Stage};
 pub use shapes::Family;
 
 #[cfg(test)]

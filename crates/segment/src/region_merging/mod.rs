@@ -15,8 +15,6 @@ mod planes;
 mod ranking;
 mod regions;
 
-pub use grid::lab;
-
 use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError, box_iou};
 use grid::Grid;
 use hierarchy::Strategy;

@@ -28,7 +28,7 @@ fn small() -> SynthConfig {
 }
 
 fn assets(config: &SynthConfig) -> SceneAssets {
-    models::ObjectCache::new(config).unwrap().scene_assets(config, 0)
+    object_cache::ObjectCache::new(config).unwrap().scene_assets(config, 0)
 }
 
 /// A few scenes with one view each.

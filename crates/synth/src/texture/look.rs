@@ -6,11 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use unopose_dataset::render::Finish;
 
 use super::{
-    noise,
     pattern::{Color, Pattern},
     print,
 };
-use crate::{random::Draw, shapes::Symmetry};
+use crate::{noise, random::Draw, shapes::Symmetry};
 
 /// A print on the surface.
 #[derive(Clone, Debug)]

@@ -5,11 +5,10 @@ use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    noise,
     pattern::{Color, Pattern, object_color},
     print,
 };
-use crate::random::Draw;
+use crate::{noise, random::Draw};
 
 /// A picture of one colour.
 pub(crate) fn plain(rng: &mut ChaCha8Rng) -> RgbImage {

@@ -4,11 +4,8 @@ use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    noise,
-    pattern::{Color, Pattern, hsv, object_color},
-};
-use crate::random::Draw;
+use super::pattern::{Color, Pattern, hsv, object_color};
+use crate::{noise, random::Draw};
 
 /// A surface material; coordinates are metres.
 enum Material {
