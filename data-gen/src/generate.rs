@@ -11,7 +11,7 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use unopose_core::config::{Config, SynthCameraConfig, SynthConfig};
 use unopose_dataset::formats::{BopDataset, megapose::ShardDataset};
-use unopose_synth::{Progress, Stage};
+use unopose_synth::{GenerationProgress, Stage};
 
 #[derive(clap::Args)]
 #[group(id = "generate")]
@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let started = std::time::Instant::now();
     let bar = Bar::default();
-    let report = |progress: Progress| bar.show(progress);
+    let report = |progress: GenerationProgress| bar.show(progress);
     let summary = match arguments.shards.clone() {
         _ if arguments.format == Format::Bop => unopose_synth::generate_bop(&config, &arguments.out, &report),
         Some(shards) => unopose_synth::generate_shards(&config, &arguments.out, shards, &report),
@@ -176,7 +176,7 @@ fn draw_samples(arguments: &Arguments, file: &Path) -> Result<()> {
 struct Bar(Mutex<Option<(Stage, ProgressBar)>>);
 
 impl Bar {
-    fn show(&self, progress: Progress) {
+    fn show(&self, progress: GenerationProgress) {
         let mut current = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if current.as_ref().is_none_or(|(stage, _)| *stage != progress.stage) {
             let name = match progress.stage {

@@ -1,11 +1,18 @@
 //! Whole training runs at the smallest size: the loss falls, resuming is exact, failures are clean.
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
 
 use burn::tensor::Device;
 use unopose_core::config::Config;
 use unopose_nn::checkpoint::TensorFile;
-use unopose_train::{Ending, Event, Journal, TrainError, TrainOptions, train};
+use unopose_train::{
+    Event, Journal, Phase, PhaseExtent, StopReason, TrainError, TrainObserver, TrainOptions, train,
+};
 
 fn config(overrides: &[&str]) -> Config {
     let overrides: Vec<String> = overrides.iter().map(|s| s.to_string()).collect();
@@ -23,6 +30,7 @@ fn options(folder: &Path, name: &str) -> TrainOptions {
         stop_at: None,
         device: Device::default(),
         interrupt: Arc::default(),
+        observer: Arc::new(()),
     }
 }
 
@@ -41,13 +49,43 @@ fn losses(run: &Path) -> Vec<f64> {
     events.iter().filter_map(of).collect()
 }
 
+/// Keeps what a run tells.
+#[derive(Default)]
+struct Recorder {
+    /// How often each phase began and ended.
+    phases: Mutex<BTreeMap<Phase, [usize; 2]>>,
+    steps: Mutex<Vec<u64>>,
+    lines: Mutex<Vec<String>>,
+}
+
+impl TrainObserver for Recorder {
+    fn begin(&self, phase: Phase, _: PhaseExtent) {
+        self.phases.lock().unwrap().entry(phase).or_default()[0] += 1;
+    }
+
+    fn advance(&self, phase: Phase, done: u64, _: &str) {
+        if phase == Phase::Training {
+            self.steps.lock().unwrap().push(done);
+        }
+    }
+
+    fn end(&self, phase: Phase) {
+        self.phases.lock().unwrap().entry(phase).or_default()[1] += 1;
+    }
+
+    fn line(&self, text: &str) {
+        self.lines.lock().unwrap().push(text.into());
+    }
+}
+
 #[test]
 fn the_loss_falls_and_a_second_call_says_finished() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(&["train.steps=60"]);
-    let options = options(folder.path(), "run");
+    let recorder = Arc::new(Recorder::default());
+    let options = TrainOptions { observer: recorder.clone(), ..options(folder.path(), "run") };
     let outcome = train(&config, &options).unwrap();
-    assert_eq!((outcome.ending, outcome.step), (Ending::Finished, 60));
+    assert_eq!((outcome.stop_reason, outcome.step), (StopReason::Finished, 60));
     let losses = losses(&options.out);
     assert_eq!(losses.len(), 60);
     let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
@@ -56,6 +94,18 @@ fn the_loss_falls_and_a_second_call_says_finished() {
     let validation: Vec<u64> = outcome.validations.iter().map(|v| v.step).collect();
     assert_eq!(validation, [0, 20, 40, 60]);
     assert!(outcome.validations[3].loss < outcome.validations[0].loss);
+    let once = [
+        Phase::TrainingModels,
+        Phase::TrainingImages,
+        Phase::ValidationModels,
+        Phase::ValidationImages,
+        Phase::Training,
+    ];
+    let told = once.into_iter().map(|phase| (phase, [1, 1])).chain([(Phase::Validation, [4, 4])]);
+    assert_eq!(*recorder.phases.lock().unwrap(), told.collect());
+    assert_eq!(*recorder.steps.lock().unwrap(), (1..=60).collect::<Vec<u64>>());
+    let lines = recorder.lines.lock().unwrap();
+    assert!(lines.len() == 2 && lines[1].starts_with("step 40: loss "), "{lines:?}");
 
     for file in ["best.safetensors", "last.safetensors", "curves.svg", "poses.png", "state-60/optimizer.bpk"]
     {
@@ -65,7 +115,7 @@ fn the_loss_falls_and_a_second_call_says_finished() {
     assert_eq!(resolved, config);
     let weights = bits(&options.out.join("last.safetensors"));
     let again = train(&config, &options).unwrap();
-    assert_eq!((again.ending, again.step), (Ending::AlreadyFinished, 60));
+    assert_eq!((again.stop_reason, again.step), (StopReason::AlreadyFinished, 60));
     assert_eq!(bits(&options.out.join("last.safetensors")), weights);
 }
 
@@ -79,9 +129,9 @@ fn an_interrupted_run_resumes_bit_for_bit() {
     let mut parts = options(folder.path(), "parts");
     parts.stop_at = Some(6);
     let outcome = train(&config, &parts).unwrap();
-    assert_eq!((outcome.ending, outcome.step), (Ending::Interrupted, 6));
+    assert_eq!((outcome.stop_reason, outcome.step), (StopReason::Interrupted, 6));
     parts.stop_at = None;
-    assert_eq!(train(&config, &parts).unwrap().ending, Ending::Finished);
+    assert_eq!(train(&config, &parts).unwrap().stop_reason, StopReason::Finished);
 
     for file in ["last.safetensors", "best.safetensors", "state-12/average.safetensors"] {
         assert_eq!(bits(&parts.out.join(file)), bits(&whole.out.join(file)), "{file}");
@@ -101,7 +151,7 @@ fn a_time_limit_ends_the_run_cleanly_at_a_small_learning_rate() {
     options.time_limit = Some(Duration::from_secs(9));
     let begin = std::time::Instant::now();
     let outcome = train(&config, &options).unwrap();
-    assert_eq!(outcome.ending, Ending::TimeUp);
+    assert_eq!(outcome.stop_reason, StopReason::TimeUp);
     assert!(outcome.step > 0 && begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
     assert_eq!(outcome.validations.last().unwrap().step, outcome.step);
     let events = Journal::read(&options.out.join("metrics.jsonl")).unwrap();

@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use unopose_core::frame::BoundingBox;
 use unopose_segment::{
     Prompt, ProposalGenerator, SamProposals,
-    sam::{ImageEncoder, InputFrame, Sam, SamCheckpoint, Upscaling, stability},
+    sam::{ImageEncoder, ResizeLongestSide, Sam, SamCheckpoint, Upscaling, stability},
 };
 use unopose_tests::pytorch_file::Pickled;
 use unopose_tests::reference_tensors::max_difference;
@@ -32,12 +32,12 @@ impl Case {
         self.checkpoint().into_network(&test_device()).unwrap()
     }
 
-    fn input_frame(&self) -> InputFrame {
-        InputFrame::new(72, 50, IMAGE_SIZE as u32)
+    fn resize(&self) -> ResizeLongestSide {
+        ResizeLongestSide::new(72, 50, IMAGE_SIZE as u32)
     }
 
     fn input(&self) -> Tensor<4> {
-        self.input_frame().tensor(&self.0.frame().rgb, &test_device())
+        self.resize().tensor(&self.0.frame().rgb, &test_device())
     }
 
     /// Largest difference relative to the largest value.
@@ -58,10 +58,10 @@ impl Case {
         assert!(difference < 1e-5, "{name}: {difference}");
     }
 
-    /// Clicks of the reference in the padded input.
-    fn clicks(&self) -> Vec<[f64; 2]> {
+    /// Points of the reference in the padded input.
+    fn points(&self) -> Vec<[f64; 2]> {
         let points = self.0.file.f32("points").1;
-        points.as_chunks::<2>().0.iter().map(|p| self.input_frame().point(p.map(f64::from))).collect()
+        points.as_chunks::<2>().0.iter().map(|p| self.resize().point(p.map(f64::from))).collect()
     }
 }
 
@@ -134,14 +134,14 @@ fn prompts_masks_and_overlaps_agree() {
         let [h, w] = image.grid;
         let positions = network.prompt_encoder.positions(image.grid);
         case.check("dense_pe", positions.swap_dims(1, 2).reshape([32, h, w]));
-        let prompts = network.prompt_encoder.clicks(&case.clicks());
+        let prompts = network.prompt_encoder.embed_points(&case.points());
         case.check("points.sparse", prompts.clone());
         let decoded = network.decode(&image, prompts);
         case.check("points.iou", decoded.iou.clone());
         case.check("points.low_res", network.masks(&image, &decoded, 0, 0..4));
         case.check("points.low_res_last", network.masks(&image, &decoded, 2, 3..4));
         let small = numbers(network.masks(&image, &decoded, 1, 1..4));
-        let upscaling = Upscaling::new(4 * h, &case.input_frame());
+        let upscaling = Upscaling::new(4 * h, &case.resize());
         let large: Vec<f32> =
             small.chunks_exact(16 * h * w).flat_map(|logits| upscaling.apply(logits)).collect();
         case.check_values("points.logits", large.clone(), &case.0.file.f32("points.logits").1);
@@ -152,7 +152,7 @@ fn prompts_masks_and_overlaps_agree() {
 }
 
 #[test]
-fn a_click_and_a_box_give_the_masks_of_the_original() {
+fn a_point_and_a_box_give_the_masks_of_the_original() {
     for name in ["sam_vit", "sam_tiny_vit"] {
         let case = Case::open(name);
         let sam = SamProposals::new(case.checkpoint(), &test_device()).unwrap();
@@ -160,16 +160,16 @@ fn a_click_and_a_box_give_the_masks_of_the_original() {
         let corners = case.0.file.f32("box").1;
         let [col_min, row_min, col_max, row_max] = [0, 1, 2, 3].map(|i| corners[i] as u32);
         let bounds = BoundingBox { col_min, row_min, col_max, row_max };
-        let found = sam.prompted(&case.0.frame(), Prompt::Box(bounds)).unwrap();
+        let found = sam.segment_prompt(&case.0.frame(), Prompt::Box(bounds)).unwrap();
         assert_eq!(found.mask.data, inside(&case.0.file.f32("box.logits").1), "{name}");
         let iou = case.0.file.f32("box.iou").1[0];
         assert!((found.score - iou.clamp(0.0, 1.0)).abs() < 1e-5, "{name}: {} {iou}", found.score);
-        // The first click; its best mask of the last three has the overlap of the reference.
-        let found = sam.prompted(&case.0.frame(), Prompt::Point(10, 7)).unwrap();
+        // The first point; its best mask of the last three has the overlap of the reference.
+        let found = sam.segment_prompt(&case.0.frame(), Prompt::Point(10, 7)).unwrap();
         let overlaps = &case.0.file.f32("points.iou").1[1..4];
         let best = overlaps.iter().fold(0.0f32, |a, &b| a.max(b));
         assert!((found.score - best).abs() < 1e-5, "{name}: {} {best}", found.score);
-        let error = sam.prompted(&case.0.frame(), Prompt::Point(72, 7)).unwrap_err().to_string();
+        let error = sam.segment_prompt(&case.0.frame(), Prompt::Point(72, 7)).unwrap_err().to_string();
         assert!(error.contains("72,7") && error.contains("72 x 50"), "{error}");
     }
 }

@@ -84,7 +84,7 @@ fn networks_of_the_published_sizes_load_and_run() {
         let start = Instant::now();
         let bounds = BoundingBox { col_min: 100, row_min: 100, col_max: 300, row_max: 200 };
         // Random weights may find nothing in the box.
-        let found = sam.prompted(&frame, Prompt::Box(bounds)).map_or(0, |p| p.mask.count());
+        let found = sam.segment_prompt(&frame, Prompt::Box(bounds)).map_or(0, |p| p.mask.count());
         let seconds = start.elapsed().as_secs_f64();
         println!("{name}: encoder and one box in {seconds:.1} s ({found} pixels), {:.0} MB", peak_memory());
         let start = Instant::now();

@@ -13,7 +13,7 @@ use unopose_nn::{
 };
 use unopose_pairs::data::{PairSampler, TrainSample};
 use unopose_tests::ellipsoid_views::EllipsoidViews;
-use unopose_train::{Optimization, pass};
+use unopose_train::{Optimization, forward_backward};
 
 /// Steps before the first that counts.
 const WARM_UP: usize = 3;
@@ -67,7 +67,7 @@ fn main() -> anyhow::Result<()> {
     let (mut passes, mut updates) = (Vec::new(), Vec::new());
     for step in 0..WARM_UP + arguments.steps.max(1) {
         let start = Instant::now();
-        let passed = pass(optimization.model(), &config, &samples, &training);
+        let passed = forward_backward(optimization.model(), &config, &samples, &training);
         let _ = device.sync();
         let passed_at = start.elapsed().as_secs_f64();
         passed.gradients.into_iter().for_each(|gradients| optimization.add(gradients));

@@ -12,28 +12,28 @@ const MIN_SCORE: f64 = 0.01;
 
 /// A proposal given to an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Assigned {
+pub struct Assignment {
     pub object: usize,
     pub proposal: usize,
     pub score: f64,
 }
 
 /// Detections by descending score; `scores` is `[objects][proposals]`.
-pub fn assign(proposals: &[Proposal], scores: &[Vec<f64>]) -> Vec<Assigned> {
+pub fn assign(proposals: &[Proposal], scores: &[Vec<f64>]) -> Vec<Assignment> {
     let best = |proposal: usize| {
         let of_objects = scores.iter().enumerate().filter_map(|(object, row)| {
             let score = *row.get(proposal)?;
-            Some(Assigned { object, proposal, score })
+            Some(Assignment { object, proposal, score })
         });
         of_objects.max_by(|a, b| a.score.total_cmp(&b.score).then(b.object.cmp(&a.object)))
     };
-    let mut assigned: Vec<Assigned> =
+    let mut assigned: Vec<Assignment> =
         (0..proposals.len()).filter_map(best).filter(|a| a.score >= MIN_SCORE).collect();
     assigned.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.proposal.cmp(&b.proposal)));
-    let mut kept: Vec<Assigned> = Vec::new();
+    let mut kept: Vec<Assignment> = Vec::new();
     for candidate in assigned {
         let bounds = &proposals[candidate.proposal].bounds;
-        let same = |other: &&Assigned| {
+        let same = |other: &&Assignment| {
             other.object == candidate.object
                 && box_iou(bounds, &proposals[other.proposal].bounds) > BOX_OVERLAP
         };
@@ -45,7 +45,7 @@ pub fn assign(proposals: &[Proposal], scores: &[Vec<f64>]) -> Vec<Assigned> {
 }
 
 /// Indices of boxes, given best first, that overlap no kept better one by more than `overlap`.
-pub fn suppressed(boxes: &[BoundingBox], overlap: f64) -> Vec<usize> {
+pub fn non_maximum_suppression(boxes: &[BoundingBox], overlap: f64) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for (index, bounds) in boxes.iter().enumerate() {
         if kept.iter().all(|&other| box_iou(bounds, &boxes[other]) <= overlap) {
@@ -88,14 +88,14 @@ mod tests {
         let scores = [vec![0.9, 0.8, 0.3], vec![0.2, 0.7, 0.6]];
         let found = assign(&proposals, &scores);
         let expected = [
-            Assigned { object: 0, proposal: 0, score: 0.9 },
-            Assigned { object: 1, proposal: 2, score: 0.6 },
+            Assignment { object: 0, proposal: 0, score: 0.9 },
+            Assignment { object: 1, proposal: 2, score: 0.6 },
         ];
         assert_eq!(found, expected);
         assert!((box_iou(&proposals[0].bounds, &proposals[1].bounds) - 80.0 / 120.0).abs() < 1e-12);
         assert!(assign(&proposals, &[vec![0.0, 0.001, 0.009]]).is_empty());
         let boxes = proposals.map(|p| p.bounds);
-        assert_eq!(suppressed(&boxes, 0.6), [0, 2]);
-        assert_eq!(suppressed(&boxes, 0.7), [0, 1, 2]);
+        assert_eq!(non_maximum_suppression(&boxes, 0.6), [0, 2]);
+        assert_eq!(non_maximum_suppression(&boxes, 0.7), [0, 1, 2]);
     }
 }

@@ -16,7 +16,7 @@ use unopose_dataset::formats::{
 
 use super::{
     Matcher, SegmentError, UnoSeg,
-    objects::{ObjectKey, ObjectViews, Objects},
+    objects::{ObjectCache, ObjectKey, ObjectViews},
 };
 
 /// Everything found in the images of a target list.
@@ -35,7 +35,7 @@ pub struct DatasetSegmentation {
 
 /// Result of one image on disk.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct StoredImage {
     key: String,
     detections: Vec<Detection>,
     proposals: Vec<Detection>,
@@ -44,14 +44,14 @@ struct Kept {
 }
 
 /// Detects the objects of a target list in its images, each by its views. Results of single images are kept in the folder
-/// `keep` and taken from there when nothing that decides about them has changed. `progress` is called with the images
+/// `cache` and taken from there when nothing that decides about them has changed. `progress` is called with the images
 /// done and all images.
 pub fn segment_targets<M: Matcher>(
     unoseg: &UnoSeg<'_, M>,
     targets: &[ReferenceTarget],
     split: &BopSplit,
     views: &ObjectViews<'_>,
-    keep: &Path,
+    cache: &Path,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<DatasetSegmentation, SegmentError> {
     let mut images: BTreeMap<(u32, u32), Vec<&ReferenceTarget>> = BTreeMap::new();
@@ -62,7 +62,7 @@ pub fn segment_targets<M: Matcher>(
         }
     }
     let method = format!("{} {}", unoseg.fingerprint(), views.fingerprint());
-    let mut objects = Objects::new(unoseg.matcher, views);
+    let mut objects = ObjectCache::new(unoseg.matcher, views);
     let mut all = DatasetSegmentation::default();
     let total = images.len();
     for (done, (&(scene_id, im_id), wanted)) in images.iter().enumerate() {
@@ -70,8 +70,8 @@ pub fn segment_targets<M: Matcher>(
         let scene = split.scene(scene_id)?;
         let keys: Vec<ObjectKey> = wanted.iter().map(|target| views.key(target)).collect();
         let key = fingerprint(&method, &scene.folder, im_id, &keys);
-        let path = keep.join(format!("{scene_id:06}_{im_id:06}.json"));
-        let kept = read_json::<Kept>(&path).ok().filter(|kept| kept.key == key);
+        let path = cache.join(format!("{scene_id:06}_{im_id:06}.json"));
+        let kept = read_json::<StoredImage>(&path).ok().filter(|kept| kept.key == key);
         let kept = match kept {
             Some(kept) => kept,
             None => {
@@ -92,12 +92,12 @@ pub fn segment_targets<M: Matcher>(
 
 fn image<M: Matcher>(
     unoseg: &UnoSeg<'_, M>,
-    objects: &mut Objects<'_, M>,
+    objects: &mut ObjectCache<'_, M>,
     key: String,
     (scene_id, im_id): (u32, u32),
     split: &BopSplit,
     wanted: &[&ReferenceTarget],
-) -> Result<Kept, SegmentError> {
+) -> Result<StoredImage, SegmentError> {
     let frame = split.scene(scene_id)?.frame(im_id)?;
     let mut usable: Vec<(u32, Arc<M::Object>)> = Vec::new();
     for target in wanted {
@@ -108,7 +108,7 @@ fn image<M: Matcher>(
     let list: Vec<&M::Object> = usable.iter().map(|(_, object)| object.as_ref()).collect();
     let found = unoseg.segment(&frame, Some((scene_id, im_id)), &list)?;
     let time = found.seconds;
-    let detections = found.found.iter().filter_map(|assigned| {
+    let detections = found.assignments.iter().filter_map(|assigned| {
         let obj_id = usable.get(assigned.object)?.0;
         let proposal = found.proposals.get(assigned.proposal)?;
         Some(proposal.detection(scene_id, im_id, obj_id, assigned.score, time))
@@ -116,7 +116,7 @@ fn image<M: Matcher>(
     let proposals = found.proposals.iter().map(|proposal| {
         proposal.detection(scene_id, im_id, 0, f64::from(proposal.score), found.proposal_seconds)
     });
-    Ok(Kept {
+    Ok(StoredImage {
         key,
         detections: detections.collect(),
         proposals: proposals.collect(),

@@ -4,7 +4,7 @@ use unopose_dataset::{formats::FormatError, mesh::MeshError};
 use unopose_infer::InferError;
 use unopose_nn::{checkpoint::CheckpointError, device::DeviceError};
 
-/// Error of the `segment` room.
+/// Why an image or a reference cannot be segmented.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
     #[error("unusable reference mask: {reason}")]

@@ -2,38 +2,41 @@
 //!
 //! A [`ProposalGenerator`] finds candidate masks of everything in an image, a [`Matcher`] compares them with the objects
 //! looked for, [`assign`] turns the scores into detections; [`UnoSeg`] is the three together and [`segment_targets`] runs
-//! it on a target list. Without any downloaded weights these are [`EmbeddedProposals`] and [`GeometricMatcher`];
+//! it on a target list. Without any downloaded weights these are [`RegionProposals`] and [`GeometricMatcher`];
 //! [`DinoMatcher`] compares by published DINOv2 weights, also with [`Templates`] of a CAD model.
 //! [`SamProposals`] takes published weights of Segment Anything.
 
+mod any_matcher;
 mod assignment;
-mod choice;
 mod dataset;
 mod dino;
-mod embedded;
 mod error;
+mod generator;
 mod geometric;
+mod lab;
 mod listed;
 mod matcher;
 mod objects;
 mod prompt;
 mod proposal;
+mod region_merging;
 pub mod sam;
 mod templates;
 mod unoseg;
 
-pub use assignment::{Assigned, assign, box_iou, suppressed};
-pub use choice::{AnyMatcher, AnyObject};
+pub use any_matcher::{AnyMatcher, AnyObject};
+pub use assignment::{Assignment, assign, box_iou, non_maximum_suppression};
 pub use dataset::{DatasetSegmentation, segment_targets};
 pub use dino::{DinoMatcher, DinoObject};
-pub use embedded::EmbeddedProposals;
 pub use error::SegmentError;
+pub use generator::ProposalGenerator;
 pub use geometric::{GeometricMatcher, GeometricObject};
 pub use listed::ListedProposals;
 pub use matcher::Matcher;
 pub use objects::{ObjectKey, ObjectViews};
-pub use prompt::{Prompt, prompted};
-pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator};
+pub use prompt::{Prompt, select_by_prompt};
+pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal};
+pub use region_merging::RegionProposals;
 pub use sam::SamProposals;
 pub use templates::Templates;
-pub use unoseg::{Segmentation, UnoSeg};
+pub use unoseg::{ImageSegmentation, UnoSeg};

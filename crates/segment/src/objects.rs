@@ -84,15 +84,15 @@ fn of_reference<M: Matcher>(
     matcher.object(&[MaskedView { frame: &frame, mask: &mask }])
 }
 
-/// Objects by key.
-pub struct Objects<'a, M: Matcher> {
+/// Objects by key, made when they are first asked for.
+pub struct ObjectCache<'a, M: Matcher> {
     matcher: &'a M,
     views: &'a ObjectViews<'a>,
     kept: BTreeMap<ObjectKey, Arc<M::Object>>,
     unusable: BTreeMap<ObjectKey, String>,
 }
 
-impl<'a, M: Matcher> Objects<'a, M> {
+impl<'a, M: Matcher> ObjectCache<'a, M> {
     pub fn new(matcher: &'a M, views: &'a ObjectViews<'a>) -> Self {
         Self { matcher, views, kept: BTreeMap::new(), unusable: BTreeMap::new() }
     }

@@ -1,4 +1,4 @@
-//! A mask from a click or a box: the proposal that it points at.
+//! A mask from a point or a box: the proposal that it selects.
 
 use unopose_core::frame::{BoundingBox, Mask};
 
@@ -42,8 +42,8 @@ impl Prompt {
     }
 }
 
-/// The mask that a prompt means: the best proposal under the click, or the union of what is inside the box.
-pub fn prompted(
+/// The mask that a prompt means: the best proposal at the point, or the union of what is inside the box.
+pub fn select_by_prompt(
     proposals: &[Proposal],
     prompt: Prompt,
     width: u32,
@@ -96,9 +96,9 @@ mod tests {
     }
 
     #[test]
-    fn clicks_take_the_best_and_boxes_take_all_inside() {
+    fn points_take_the_best_and_boxes_take_all_inside() {
         let proposals = [bar(2..6, 0.4), bar(6..9, 0.3), bar(4..18, 0.9)];
-        let at = |prompt| prompted(&proposals, prompt, 20, 10);
+        let at = |prompt| select_by_prompt(&proposals, prompt, 20, 10);
         assert_eq!(at(Prompt::Point(3, 3)).unwrap(), proposals[0]);
         assert_eq!(at(Prompt::Point(5, 3)).unwrap(), proposals[2]);
         let bounds = BoundingBox { col_min: 1, row_min: 1, col_max: 10, row_max: 9 };

@@ -1,8 +1,7 @@
-//! Candidate masks of an image and what makes them.
+//! Candidate masks of an image.
 
-use unopose_core::frame::{BoundingBox, Mask, RgbdFrame};
-
-use super::{Prompt, SegmentError, prompted};
+use unopose_core::frame::{BoundingBox, Mask};
+use unopose_dataset::formats::{detections::Detection, rle::Rle};
 
 /// Proposals per image at most.
 pub const MAX_PROPOSALS: usize = 100;
@@ -24,28 +23,25 @@ impl Proposal {
     pub fn new(mask: Mask, score: f32) -> Option<Self> {
         Some(Self { bounds: mask.bounding_box()?, mask, score })
     }
-}
 
-/// Proposes masks of an image, best first, at most [`MAX_PROPOSALS`]. `image` says which image of a
-/// dataset it is, for generators that look results up.
-pub trait ProposalGenerator: Send + Sync {
-    /// Short, of letters, digits and dashes.
-    fn name(&self) -> String;
-
-    /// Everything that decides about the proposals besides the image.
-    fn fingerprint(&self) -> String {
-        self.name()
-    }
-
-    fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
-
-    /// The mask that a click or a box means: one of the proposals, or their union.
-    fn prompted(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
-        prompt.check(frame.width(), frame.height())?;
-        let proposals = self.proposals(frame, None)?;
-        if proposals.is_empty() {
-            return Err(SegmentError::NotFound { image: "the image".into(), proposals: 0 });
+    /// The proposal in the list format of detections.
+    pub fn detection(
+        &self,
+        scene_id: u32,
+        image_id: u32,
+        category_id: u32,
+        score: f64,
+        time: f64,
+    ) -> Detection {
+        let b = &self.bounds;
+        Detection {
+            scene_id,
+            image_id,
+            category_id,
+            bbox: [b.col_min, b.row_min, b.col_max - b.col_min, b.row_max - b.row_min].map(f64::from),
+            score,
+            time,
+            segmentation: Rle::encode_compressed(&self.mask),
         }
-        prompted(&proposals, prompt, frame.width(), frame.height())
     }
 }

@@ -3,9 +3,8 @@
 use std::time::Instant;
 
 use unopose_core::frame::RgbdFrame;
-use unopose_dataset::formats::{detections::Detection, rle::Rle};
 
-use super::{Assigned, ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
+use super::{Assignment, ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
 
 /// A proposal generator with a matcher.
 pub struct UnoSeg<'a, M: Matcher> {
@@ -15,11 +14,11 @@ pub struct UnoSeg<'a, M: Matcher> {
 
 /// What was found in an image.
 #[derive(Clone, Debug)]
-pub struct Segmentation {
+pub struct ImageSegmentation {
     /// Best first.
     pub proposals: Vec<Proposal>,
     /// By descending score; `object` is the index in the list of objects.
-    pub found: Vec<Assigned>,
+    pub assignments: Vec<Assignment>,
     /// Seconds of proposals and of both together.
     pub proposal_seconds: f64,
     pub seconds: f64,
@@ -37,37 +36,19 @@ impl<M: Matcher> UnoSeg<'_, M> {
         frame: &RgbdFrame,
         image: Option<ImageKey>,
         objects: &[&M::Object],
-    ) -> Result<Segmentation, SegmentError> {
+    ) -> Result<ImageSegmentation, SegmentError> {
         let start = Instant::now();
         let proposals = self.generator.proposals(frame, image)?;
         let proposal_seconds = start.elapsed().as_secs_f64();
-        let found = match proposals.is_empty() || objects.is_empty() {
+        let assignments = match proposals.is_empty() || objects.is_empty() {
             true => Vec::new(),
             false => assign(&proposals, &self.matcher.scores(frame, &proposals, objects)?),
         };
-        Ok(Segmentation { proposals, found, proposal_seconds, seconds: start.elapsed().as_secs_f64() })
-    }
-}
-
-impl Proposal {
-    /// The proposal in the list format of detections.
-    pub fn detection(
-        &self,
-        scene_id: u32,
-        image_id: u32,
-        category_id: u32,
-        score: f64,
-        time: f64,
-    ) -> Detection {
-        let b = &self.bounds;
-        Detection {
-            scene_id,
-            image_id,
-            category_id,
-            bbox: [b.col_min, b.row_min, b.col_max - b.col_min, b.row_max - b.row_min].map(f64::from),
-            score,
-            time,
-            segmentation: Rle::encode_compressed(&self.mask),
-        }
+        Ok(ImageSegmentation {
+            proposals,
+            assignments,
+            proposal_seconds,
+            seconds: start.elapsed().as_secs_f64(),
+        })
     }
 }

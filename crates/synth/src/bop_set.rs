@@ -18,10 +18,12 @@ use unopose_dataset::{
 };
 
 use super::{
-    Progress, Stage, Summary, SynthError, bop_lists,
-    folder::{Layout, check, claim},
-    models::{ObjectCache, write_models},
+    SynthError, bop_lists,
+    folder::{Layout, check, reserve},
+    models::write_models,
     object::SynthObject,
+    object_cache::ObjectCache,
+    progress::{GenerationProgress, GenerationSummary, Stage},
     shard::{self, Image},
 };
 
@@ -32,14 +34,14 @@ const DEPTH_SCALE: f64 = 0.1;
 pub fn generate_bop(
     config: &SynthConfig,
     out: &Path,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     check(config)?;
-    claim(config, out, Layout::Scenes)?;
+    reserve(config, out, Layout::Scenes)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, "synth", &mut cache, progress)?;
-    let stock = cache.stock(config, 0);
-    let infos = write_eval_models(out, &stock.objects)?;
+    let assets = cache.scene_assets(config, 0);
+    let infos = write_eval_models(out, &assets.objects)?;
     let split = out.join("test");
     let scenes = shard::scene_count(config, config.images);
     let (done, total) = (AtomicUsize::new(0), config.images);
@@ -50,22 +52,22 @@ pub fn generate_bop(
             let scene_id = k as u32 + 1;
             let mut images = 0;
             if !split.join(format!("{scene_id:06}/scene_camera.json")).is_file() {
-                let made = shard::images_of_scene(config, &stock, 0, k, config.images);
+                let made = shard::images_of_scene(config, &assets, 0, k, config.images);
                 images = made.len();
                 write_scene(&split, scene_id, made)?;
             }
             let done = done.fetch_add(config.views_per_scene, Ordering::Relaxed) + config.views_per_scene;
-            progress(Progress { stage: Stage::Images, done: done.min(total), total });
+            progress(GenerationProgress { stage: Stage::Images, done: done.min(total), total });
             Ok(images)
         })
         .collect();
-    let mut summary = Summary { meshes_replaced: cache.replaced(), ..Summary::default() };
+    let mut summary = GenerationSummary { meshes_replaced: cache.replaced(), ..GenerationSummary::default() };
     for images in made {
         let images = images?;
         summary.images_written += images;
         *(if images > 0 { &mut summary.shards_written } else { &mut summary.shards_kept }) += 1;
     }
-    bop_lists::write_lists(config, out, &stock.objects, &infos)?;
+    bop_lists::write_lists(config, out, &assets.objects, &infos)?;
     Ok(summary)
 }
 

@@ -95,8 +95,8 @@ pub(super) fn check(config: &SynthConfig) -> Result<(), SynthError> {
     Ok(())
 }
 
-/// Notes the configuration in the folder, or refuses a folder of another one, of another layout or with foreign data.
-pub(super) fn claim(config: &SynthConfig, out: &Path, layout: Layout) -> Result<(), SynthError> {
+/// Writes the configuration into the folder; refuses a folder of another configuration or layout, or with foreign data.
+pub(super) fn reserve(config: &SynthConfig, out: &Path, layout: Layout) -> Result<(), SynthError> {
     let file = out.join(CONFIG_FILE);
     let holds =
         |folder: &str| std::fs::read_dir(out.join(folder)).is_ok_and(|mut entries| entries.next().is_some());
@@ -109,7 +109,7 @@ pub(super) fn claim(config: &SynthConfig, out: &Path, layout: Layout) -> Result<
         if let Some(folder) = [layout.images(), "models", "models_eval"].into_iter().find(|f| holds(f)) {
             return refuse(format!("there is {folder}/ without {CONFIG_FILE}"));
         }
-        return note(config, &file);
+        return write_config(config, &file);
     }
     let Some((found, generator)) = read(&file)? else {
         return refuse(format!("{CONFIG_FILE} has fields that this version does not know"));
@@ -168,7 +168,7 @@ pub fn remove_generated(out: &Path) -> Result<(), SynthError> {
     Ok(())
 }
 
-fn note(config: &SynthConfig, file: &Path) -> Result<(), SynthError> {
+fn write_config(config: &SynthConfig, file: &Path) -> Result<(), SynthError> {
     let mut value: serde_json::Value = read_text(&serde_json::to_string(config), file)?;
     if let Some(map) = value.as_object_mut() {
         map.insert(GENERATOR_KEY.into(), GENERATOR.into());

@@ -6,57 +6,29 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use rand::seq::index;
 use unopose_core::config::SynthConfig;
 use unopose_dataset::formats::megapose::{ShardDataset, ShardWriter, shard_file_name, write_index_files};
 
 use super::{
     SynthError,
-    folder::{Layout, check, claim},
-    models::{ObjectCache, write_models},
-    random::{Domain, stream},
+    folder::{Layout, check, reserve},
+    models::write_models,
+    object_cache::ObjectCache,
+    progress::{GenerationProgress, GenerationSummary, Stage},
     shard,
 };
-
-/// What is being made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    Objects,
-    Images,
-}
-
-/// State of a running generation.
-#[derive(Clone, Copy, Debug)]
-pub struct Progress {
-    pub stage: Stage,
-    /// Items finished, those of earlier runs included.
-    pub done: usize,
-    pub total: usize,
-}
-
-/// What a generation did.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Summary {
-    /// Shards, or scenes of a BOP set.
-    pub shards_written: usize,
-    /// Shards that were there already.
-    pub shards_kept: usize,
-    pub images_written: usize,
-    /// Procedural objects in place of mesh files that could not be used.
-    pub meshes_replaced: usize,
-}
 
 const SET_NAME: &str = "gso";
 
 /// Makes the whole set in `out`: shards, models, index files. Finished shards of an earlier run are kept, so that a
-/// killed run continues where it stopped. `progress` is called from several threads.
+/// killed run can be resumed. `progress` is called from several threads.
 pub fn generate(
     config: &SynthConfig,
     out: &Path,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     check(config)?;
-    claim(config, out, Layout::Shards)?;
+    reserve(config, out, Layout::Shards)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, SET_NAME, &mut cache, progress)?;
     let shards = config.images.div_ceil(config.images_per_shard.max(1)) as u32;
@@ -75,10 +47,10 @@ pub fn generate_shards(
     config: &SynthConfig,
     out: &Path,
     shards: Range<u32>,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     check(config)?;
-    claim(config, out, Layout::Shards)?;
+    reserve(config, out, Layout::Shards)?;
     make_shards(config, out, shards, &mut ObjectCache::new(config)?, progress)
 }
 
@@ -87,17 +59,17 @@ fn make_shards(
     out: &Path,
     shards: Range<u32>,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(Progress) + Sync),
-) -> Result<Summary, SynthError> {
+    progress: &(dyn Fn(GenerationProgress) + Sync),
+) -> Result<GenerationSummary, SynthError> {
     let per_shard = config.images_per_shard;
     let images_in = |shard: u32| (config.images.saturating_sub(shard as usize * per_shard)).min(per_shard);
     let total = shards.clone().map(images_in).sum();
     let done = AtomicUsize::new(0);
     let report = |finished: usize| {
         let done = done.fetch_add(finished, Ordering::Relaxed) + finished;
-        progress(Progress { stage: Stage::Images, done, total });
+        progress(GenerationProgress { stage: Stage::Images, done, total });
     };
-    let mut summary = Summary::default();
+    let mut summary = GenerationSummary::default();
     for shard in shards {
         let path = out.join("train_pbr_web").join(shard_file_name(shard));
         let images = images_in(shard);
@@ -106,9 +78,9 @@ fn make_shards(
             report(images);
             continue;
         }
-        let stock = cache.stock(config, shard);
+        let assets = cache.scene_assets(config, shard);
         let mut writer = ShardWriter::default();
-        for image in shard::encode_shard(config, &stock, shard, images, &report)? {
+        for image in shard::encode_shard(config, &assets, shard, images, &report)? {
             writer.push(image);
         }
         writer.write(&path)?;
@@ -117,16 +89,6 @@ fn make_shards(
     }
     summary.meshes_replaced = cache.replaced();
     Ok(summary)
-}
-
-/// Ids of the objects that the scenes of a shard draw from, ascending.
-pub(super) fn pool_of(config: &SynthConfig, shard: u32) -> Vec<u32> {
-    let amount = config.objects_per_shard.min(config.objects);
-    let mut rng = stream(config.seed, Domain::Pool, shard.into());
-    let mut pool: Vec<u32> =
-        index::sample(&mut rng, config.objects, amount).iter().map(|i| i as u32 + 1).collect();
-    pool.sort_unstable();
-    pool
 }
 
 fn remove_index_files(out: &Path) -> Result<(), SynthError> {

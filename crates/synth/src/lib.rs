@@ -8,19 +8,22 @@ mod bop_lists;
 mod bop_set;
 mod check;
 mod collision;
+mod color_camera;
 mod contact_sheet;
 mod error;
 mod folder;
 mod generate;
 mod mesh_folder;
 mod models;
+mod noise;
 mod object;
-mod photograph;
+mod object_cache;
 mod physics;
+mod place;
+mod progress;
 mod random;
 mod scene;
 mod sensor;
-mod setting;
 mod shapes;
 mod shard;
 mod texture;
@@ -30,8 +33,9 @@ pub use check::{CheckReport, Finding, Histogram, PartReport, Statistics, check_d
 pub use contact_sheet::contact_sheet;
 pub use error::SynthError;
 pub use folder::remove_generated;
-pub use generate::{Progress, Stage, Summary, generate, generate_shards};
+pub use generate::{generate, generate_shards};
 pub use object::{ObjectLibrary, SynthObject};
+pub use progress::{GenerationProgress, GenerationSummary, Stage};
 pub use shapes::Family;
 
 #[cfg(test)]

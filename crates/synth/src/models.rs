@@ -1,7 +1,7 @@
 //! Object meshes beside the images.
 
 use std::{
-    collections::{BTreeMap, HashMap, HashSet},
+    collections::BTreeMap,
     path::Path,
     sync::atomic::{AtomicUsize, Ordering},
 };
@@ -14,62 +14,11 @@ use unopose_dataset::{
 };
 
 use super::{
-    Progress, Stage, SynthError,
-    background::Backgrounds,
-    generate::pool_of,
-    object::{ObjectLibrary, SynthObject},
-    scene::Stock,
+    SynthError,
+    object::SynthObject,
+    object_cache::ObjectCache,
+    progress::{GenerationProgress, Stage},
 };
-
-/// The objects of the current pool; those of the next pool are taken over.
-pub(super) struct ObjectCache {
-    library: ObjectLibrary,
-    backgrounds: Backgrounds,
-    built: HashMap<u32, SynthObject>,
-}
-
-/// Distractors that the scenes of one shard draw from.
-const DISTRACTORS_PER_SHARD: usize = 16;
-
-impl ObjectCache {
-    pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        let (library, backgrounds) = (ObjectLibrary::new(config)?, Backgrounds::new(config)?);
-        Ok(Self { library, backgrounds, built: HashMap::new() })
-    }
-
-    /// How many objects had to be made up because their mesh file could not be used.
-    pub fn replaced(&self) -> usize {
-        self.library.replaced()
-    }
-
-    /// What the scenes of a shard are made of. Distractors have ids above those of the set's objects.
-    pub fn stock(&mut self, config: &SynthConfig, shard: u32) -> Stock {
-        let mut ids = pool_of(config, shard);
-        let own = ids.len();
-        if config.distractors[1] > 0 {
-            let first = config.objects + shard as usize * DISTRACTORS_PER_SHARD;
-            ids.extend((1..=DISTRACTORS_PER_SHARD).map(|k| (first + k) as u32));
-        }
-        let mut objects = self.get(&ids, &|| {});
-        let distractors = objects.split_off(own);
-        Stock { objects, distractors, backgrounds: self.backgrounds.clone() }
-    }
-
-    /// The objects in the order of `ids`; `done` is called after each one that had to be made.
-    pub fn get(&mut self, ids: &[u32], done: &(dyn Fn() + Sync)) -> Vec<SynthObject> {
-        let wanted: HashSet<u32> = ids.iter().copied().collect();
-        self.built.retain(|id, _| wanted.contains(id));
-        let missing: Vec<u32> = ids.iter().copied().filter(|id| !self.built.contains_key(id)).collect();
-        let library = &self.library;
-        let make = |&id: &u32| {
-            let object = library.build(id);
-            done();
-            (id, object)
-        };
-        self.built.extend(missing.par_iter().map(make).collect::<Vec<_>>());
-        ids.iter().filter_map(|id| self.built.get(id).cloned()).collect()
-    }
-}
 
 /// One entry of the models list.
 #[derive(serde::Serialize)]
@@ -84,7 +33,7 @@ pub(super) fn write_models(
     out: &Path,
     set: &str,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(Progress) + Sync),
+    progress: &(dyn Fn(GenerationProgress) + Sync),
 ) -> Result<(), SynthError> {
     let (folder, names_file) = (out.join("models"), out.join(format!("{set}_models.json")));
     let info_file = folder.join("models_info.json");
@@ -94,7 +43,7 @@ pub(super) fn write_models(
     let (done, total) = (AtomicUsize::new(0), config.objects);
     let report = || {
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-        progress(Progress { stage: Stage::Objects, done, total });
+        progress(GenerationProgress { stage: Stage::Objects, done, total });
     };
     let mut names = Vec::new();
     let mut infos = BTreeMap::new();

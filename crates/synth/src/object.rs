@@ -106,7 +106,7 @@ impl ObjectLibrary {
         let look = Look::draw(size, self.config.textureless, solid.symmetry.continuous, &mut look_rng);
         let mesh = texture::textured(&solid, &look, self.config.texture_size);
         // A print or a coarse pattern tells the sides apart.
-        let symmetries = object_symmetries(&look.keep(solid.symmetry, &solid.parts));
+        let symmetries = object_symmetries(&look.remaining_symmetry(solid.symmetry, &solid.parts));
         SynthObject::new(obj_id, format!("{}_{obj_id:06}", family.name()), mesh, look.finish, symmetries)
     }
 

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rapier3d::{parry::query::contact, prelude::*};
 use unopose_core::geometry::Pose;
 
-use super::{object::SynthObject, random::Draw, setting::Place};
+use super::{object::SynthObject, place::Place, random::Draw};
 
 const STEP: f32 = 1.0 / 120.0;
 /// Longest simulated time, seconds.

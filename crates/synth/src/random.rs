@@ -21,7 +21,7 @@ pub(super) fn stream(seed: u64, domain: Domain, index: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Short forms of the draws used everywhere in this room.
+/// Short forms of the draws used everywhere in this crate.
 pub(super) trait Draw {
     /// Uniform in [low, high); `low` when the range is empty.
     fn between(&mut self, low: f32, high: f32) -> f32;

@@ -10,10 +10,10 @@ use unopose_core::{
 };
 use unopose_dataset::render::{Camera, Light, Placed, Scene};
 
-use super::{background::Backgrounds, object::SynthObject, physics, random::Draw, setting::Place};
+use super::{background::Backgrounds, object::SynthObject, physics, place::Place, random::Draw};
 
 /// What the scenes of a shard are made of.
-pub(super) struct Stock {
+pub(super) struct SceneAssets {
     /// Objects of the set.
     pub objects: Vec<SynthObject>,
     /// Objects that are not annotated.
@@ -34,12 +34,12 @@ pub(super) struct Arrangement {
 }
 
 /// Draws a scene.
-pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng) -> Arrangement {
+pub(super) fn arrange(config: &SynthConfig, assets: &SceneAssets, rng: &mut ChaCha8Rng) -> Arrangement {
     let [fewest, most] = config.objects_per_scene;
-    let count = rng.count(fewest.max(1), most.max(1)).min(stock.objects.len());
-    let mut objects = draw_alike(&stock.objects, count, rng);
-    let others = rng.count(config.distractors[0], config.distractors[1]).min(stock.distractors.len());
-    objects.extend(draw(&stock.distractors, others, rng));
+    let count = rng.count(fewest.max(1), most.max(1)).min(assets.objects.len());
+    let mut objects = draw_alike(&assets.objects, count, rng);
+    let others = rng.count(config.distractors[0], config.distractors[1]).min(assets.distractors.len());
+    objects.extend(draw(&assets.distractors, others, rng));
     let tumbling = rng.chance(config.tumbling);
     let sizes: Vec<f32> = objects.iter().map(|o| Vector3::from(o.mesh.bounds().size()).norm()).collect();
     let mean = sizes.iter().sum::<f32>() / sizes.len().max(1) as f32;
@@ -76,7 +76,7 @@ pub(super) fn arrange(config: &SynthConfig, stock: &Stock, rng: &mut ChaCha8Rng)
     let ground = sky * rng.between(0.25, 0.7);
     let scene = Scene {
         objects: placed,
-        room: place.room([reach, top, farthest], &stock.backgrounds, rng),
+        room: place.room([reach, top, farthest], &assets.backgrounds, rng),
         lights,
         sky: tint.map(|t| t * sky),
         ground: tint.map(|t| t * ground),

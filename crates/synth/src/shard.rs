@@ -14,9 +14,9 @@ use unopose_dataset::{
 };
 
 use super::{
-    SynthError, photograph,
+    SynthError, color_camera,
     random::{Domain, Draw, stream},
-    scene::{self, Arrangement, Stock},
+    scene::{self, Arrangement, SceneAssets},
     sensor::DepthSensor,
 };
 
@@ -41,7 +41,7 @@ pub(super) fn scene_count(config: &SynthConfig, images: usize) -> usize {
 /// Encoded images of a shard; `done` is called after every finished scene with its number of images.
 pub(super) fn encode_shard(
     config: &SynthConfig,
-    stock: &Stock,
+    assets: &SceneAssets,
     shard: u32,
     images: usize,
     done: &(dyn Fn(usize) + Sync),
@@ -49,7 +49,7 @@ pub(super) fn encode_shard(
     let scenes: Vec<Result<Vec<EncodedImage>, SynthError>> = (0..scene_count(config, images))
         .into_par_iter()
         .map(|k| {
-            let made = images_of_scene(config, stock, shard, k, images);
+            let made = images_of_scene(config, assets, shard, k, images);
             let encoded = made
                 .iter()
                 .map(|i| Ok(EncodedImage::new(&i.key, &i.rgb, i.jpeg_quality, &i.depth, &i.records)?))
@@ -68,7 +68,7 @@ pub(super) fn encode_shard(
 /// The images of scene `k` of a shard.
 pub(super) fn images_of_scene(
     config: &SynthConfig,
-    stock: &Stock,
+    assets: &SceneAssets,
     shard: u32,
     k: usize,
     images: usize,
@@ -77,7 +77,7 @@ pub(super) fn images_of_scene(
     let full_shard = scene_count(config, config.images_per_shard) as u64;
     let number = u64::from(shard) * full_shard + k as u64;
     let mut rng = stream(config.seed, Domain::Scene, number);
-    let arrangement = scene::arrange(config, stock, &mut rng);
+    let arrangement = scene::arrange(config, assets, &mut rng);
     let sensor = DepthSensor::draw(&config.sensor, &mut stream(config.seed, Domain::Sensor, number));
     let renderer = SceneRenderer::new(&arrangement.scene).with_indirect_rays(config.indirect_rays);
     let first = k * views;
@@ -87,7 +87,7 @@ pub(super) fn images_of_scene(
             let mut rng = stream(config.seed, Domain::View, number * views as u64 + view);
             let camera = arrangement.camera(config, view as usize, views, &mut rng);
             let rendering = renderer.render(&camera, config.supersampling.max(1));
-            let (rgb, brightness) = photograph::develop(&rendering, &config.sensor, &mut rng);
+            let (rgb, brightness) = color_camera::capture(&rendering, &config.sensor, &mut rng);
             let depth = match config.sensor.enabled {
                 true => sensor.measure(
                     &rendering,

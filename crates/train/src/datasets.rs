@@ -15,7 +15,12 @@ use unopose_eval::eval::EvalObject;
 use unopose_pairs::data::PairSampler;
 use unopose_synth::Stage;
 
-use super::{TrainError, interrupt::Interrupt, progress::Progress, validation::Validation};
+use super::{
+    TrainError,
+    observer::{Phase, PhaseExtent, TrainObserver},
+    options::TrainOptions,
+    validation::Validation,
+};
 
 /// The validation pairs are the same whatever the run's seed.
 const VALIDATION_SEED: u64 = 1;
@@ -28,25 +33,23 @@ pub struct Datasets {
 }
 
 impl Datasets {
-    /// Opens the configured folders. Where none is configured, opens `<root>/<name>/train` or `/val`, generated first
-    /// as far as it is not there; `None` when the run was interrupted meanwhile.
-    pub fn open_or_generate(
-        config: &Config,
-        root: &Path,
-        interrupt: &Interrupt,
-    ) -> Result<Option<Self>, TrainError> {
-        let root = root.join(&config.name);
-        let folder = |given: &Option<PathBuf>, name: &str, synth: SynthConfig, label| match given {
+    /// Opens the configured folders. Where none is configured, opens `<data_root>/<name>/train` or `/val`, generated
+    /// first as far as it is not there; `None` when the run was interrupted meanwhile.
+    pub fn open_or_generate(config: &Config, options: &TrainOptions) -> Result<Option<Self>, TrainError> {
+        let root = options.data_root.join(&config.name);
+        let folder = |given: &Option<PathBuf>, name: &str, synth: SynthConfig, phases| match given {
             Some(folder) => Ok(folder.clone()),
-            None => generate(&synth, root.join(name), label),
+            None => generate(&synth, root.join(name), phases, &*options.observer),
         };
-        let training = folder(&config.data.train, "train", config.synth.clone(), "training set")?;
-        if interrupt.is_requested() {
+        let phases = [Phase::TrainingModels, Phase::TrainingImages];
+        let training = folder(&config.data.train, "train", config.synth.clone(), phases)?;
+        if options.interrupt.is_requested() {
             return Ok(None);
         }
         let synth = validation_synth(config);
-        let validation_folder = folder(&config.data.validation, "val", synth, "validation set")?;
-        if interrupt.is_requested() {
+        let phases = [Phase::ValidationModels, Phase::ValidationImages];
+        let validation_folder = folder(&config.data.validation, "val", synth, phases)?;
+        if options.interrupt.is_requested() {
             return Ok(None);
         }
         let open = |folder: &Path| -> Result<Arc<ShardDataset>, TrainError> {
@@ -108,18 +111,27 @@ fn validation_synth(config: &Config) -> SynthConfig {
     }
 }
 
-fn generate(config: &SynthConfig, folder: PathBuf, label: &'static str) -> Result<PathBuf, TrainError> {
-    let bars: Mutex<[Option<Progress>; 2]> = Mutex::new([None, None]);
+/// Fills `folder`; `phases` are those of its objects and of its images.
+fn generate(
+    config: &SynthConfig,
+    folder: PathBuf,
+    phases: [Phase; 2],
+    observer: &dyn TrainObserver,
+) -> Result<PathBuf, TrainError> {
+    let begun = Mutex::new([false; 2]);
     unopose_synth::generate(config, &folder, &|state| {
-        let mut bars = bars.lock().unwrap_or_else(PoisonError::into_inner);
-        let (slot, note) = match state.stage {
-            Stage::Images => (0, "images"),
-            Stage::Objects => (1, "models"),
+        let mut begun = begun.lock().unwrap_or_else(PoisonError::into_inner);
+        let (index, note) = match state.stage {
+            Stage::Objects => (0, "models"),
+            Stage::Images => (1, "images"),
         };
-        let first = state.done.saturating_sub(1) as u64;
-        let bar = bars[slot].get_or_insert_with(|| Progress::new(label, first, state.total as u64));
-        bar.set(state.done as u64, note);
+        if !std::mem::replace(&mut begun[index], true) {
+            let first = state.done.saturating_sub(1) as u64;
+            observer.begin(phases[index], PhaseExtent::new(first, state.total as u64));
+        }
+        observer.advance(phases[index], state.done as u64, note);
     })?;
-    bars.into_inner().unwrap_or_else(PoisonError::into_inner).iter().flatten().for_each(Progress::finish);
+    let begun = begun.into_inner().unwrap_or_else(PoisonError::into_inner);
+    phases.iter().zip(begun).filter(|(_, begun)| *begun).for_each(|(phase, _)| observer.end(*phase));
     Ok(folder)
 }

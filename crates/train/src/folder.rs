@@ -30,6 +30,6 @@ pub fn prepare(config: &Config, options: &TrainOptions) -> Result<(), TrainError
 
 /// The last step of a run that an earlier call finished.
 pub fn finished_step(config: &Config, out: &Path) -> Result<Option<u64>, TrainError> {
-    let done = state::read_progress(out)?.filter(|(step, p)| p.finished && *step >= config.train.steps);
+    let done = state::read_state(out)?.filter(|(step, state)| state.finished && *step >= config.train.steps);
     Ok(done.map(|(step, _)| step))
 }

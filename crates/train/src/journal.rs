@@ -93,7 +93,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens the journal of a run that goes on after `step`: later lines and a torn last line are dropped. Returns
+    /// Opens the journal of a run that resumes after `step`: later lines and a torn last line are dropped. Returns
     /// the events that remain.
     pub fn open(path: &Path, step: u64) -> Result<(Self, Vec<Event>), TrainError> {
         let io = |source| TrainError::Io { path: path.to_owned(), source };

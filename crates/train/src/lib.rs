@@ -5,19 +5,19 @@
 //! the resolved `config.toml`. A resumed run continues bit for bit: weights, moments, averages, schedule and the
 //! position in the stream of pairs are saved, and random numbers belong to pairs, not to the process.
 
-mod beginning;
+mod bad_batch;
 mod datasets;
 mod ema;
 mod error;
-mod failure;
 mod figures;
 mod folder;
 mod gradients;
+mod initial_weights;
 mod interrupt;
 mod journal;
+mod observer;
 mod optimization;
 mod options;
-mod progress;
 mod replicas;
 mod run;
 mod schedule;
@@ -27,9 +27,10 @@ mod validation;
 pub use error::TrainError;
 pub use interrupt::Interrupt;
 pub use journal::{Event, Journal, StepRecord, ValidationRecord};
+pub use observer::{Phase, PhaseExtent, TrainObserver};
 pub use optimization::Optimization;
-pub use options::{Ending, TrainOptions, TrainOutcome};
-pub use replicas::{Pass, pass};
+pub use options::{StopReason, TrainOptions, TrainOutcome};
+pub use replicas::{BatchGradients, forward_backward};
 pub use run::train;
 pub use schedule::{Schedule, TimeBudget};
 pub use validation::{PoseError, Validation};

@@ -41,7 +41,7 @@ impl<M: Module> Optimization<M> {
         }
     }
 
-    /// Goes on from a saved state: `model` with its weights, `average` likewise, `adam` with its moments.
+    /// Resumes from a saved state: `model` with its weights, `average` likewise, `adam` with its moments.
     pub fn restore(&mut self, model: M, average: Option<M>, adam: ModuleOptimizer, step: u64) {
         self.model = model;
         self.average = average;

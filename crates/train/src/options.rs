@@ -4,7 +4,7 @@ use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use burn::tensor::Device;
 
-use super::{interrupt::Interrupt, journal::ValidationRecord};
+use super::{interrupt::Interrupt, journal::ValidationRecord, observer::TrainObserver};
 
 /// What a call adds to the configuration.
 pub struct TrainOptions {
@@ -14,7 +14,7 @@ pub struct TrainOptions {
     pub data_root: PathBuf,
     /// Start from these weights when the folder has no checkpoint.
     pub init: Option<PathBuf>,
-    /// Delete an earlier run in the folder instead of going on with it.
+    /// Delete an earlier run in the folder instead of resuming it.
     pub fresh: bool,
     /// End after this time, data generation, validation and report included.
     pub time_limit: Option<Duration>,
@@ -24,11 +24,13 @@ pub struct TrainOptions {
     pub stop_at: Option<u64>,
     /// Set from outside (Ctrl-C) to save and leave.
     pub interrupt: Arc<Interrupt>,
+    /// Told how far the run is; `Arc::new(())` for nobody.
+    pub observer: Arc<dyn TrainObserver>,
 }
 
-/// Why a call ended.
+/// Why a call stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
+pub enum StopReason {
     /// An earlier call took the last step.
     AlreadyFinished,
     Finished,
@@ -39,7 +41,8 @@ pub enum Ending {
 /// What a call did.
 #[derive(Clone, Debug)]
 pub struct TrainOutcome {
-    pub ending: Ending,
+    /// Why the call stopped.
+    pub stop_reason: StopReason,
     /// Steps of the run so far.
     pub step: u64,
     /// All validations of the run, in order.

@@ -26,7 +26,7 @@ use unopose_pairs::data::TrainSample;
 pub const TOTAL: &str = "total";
 
 /// What a pass over a batch gives.
-pub struct Pass {
+pub struct BatchGradients {
     /// The whole loss `[1]` under [`TOTAL`], then every term per pair `[B]`, on the host.
     pub losses: Vec<(String, Vec<f32>)>,
     /// To be added up: the gradients of the mean loss, divided by the configured number of accumulated passes.
@@ -34,7 +34,12 @@ pub struct Pass {
 }
 
 /// Losses and gradients of `samples`. `model` must be on the autodiff `device`.
-pub fn pass(model: &UnoPose, config: &Config, samples: &[TrainSample], device: &Device) -> Pass {
+pub fn forward_backward(
+    model: &UnoPose,
+    config: &Config,
+    samples: &[TrainSample],
+    device: &Device,
+) -> BatchGradients {
     let threads = if is_host(device) { rayon::current_num_threads() } else { 1 };
     let positions = PairTensors::groups_of(samples, &config.model, device).map(|g| model.position(&g));
     let size = samples.len().div_ceil(threads).max(1);
@@ -43,21 +48,23 @@ pub fn pass(model: &UnoPose, config: &Config, samples: &[TrainSample], device: &
             let own = position.as_ref()?.clone().inner().narrow(0, index * size, part.len());
             Some(own.autodiff().require_grad())
         };
-        Part {
+        Share {
             model: model.clone().fork(device),
             samples: part,
             positions: positions.each_ref().map(leaf),
             share: part.len() as f64 / samples.len() as f64,
         }
     });
-    let parts: Vec<Part<'_>> = parts.collect();
-    let passed: Vec<PassedPart> = thread::scope(|scope| {
+    let parts: Vec<Share<'_>> = parts.collect();
+    let passed: Vec<ShareGradients> = thread::scope(|scope| {
         if threads == 1 {
             // On the caller's thread: a GPU's queue belongs to one.
-            return parts.into_iter().map(|part| part.pass(config, device)).collect();
+            return parts.into_iter().map(|part| part.forward_backward(config, device)).collect();
         }
-        let running: Vec<_> =
-            parts.into_iter().map(|part| scope.spawn(move || part.pass(config, device))).collect();
+        let running: Vec<_> = parts
+            .into_iter()
+            .map(|part| scope.spawn(move || part.forward_backward(config, device)))
+            .collect();
         let joined = running.into_iter().map(|part| part.join());
         joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     });
@@ -83,11 +90,11 @@ pub fn pass(model: &UnoPose, config: &Config, samples: &[TrainSample], device: &
     if let Some(sum) = linear.reduce(|a, b| a + b) {
         gradients.push(GradientsParams::from_grads(sum.backward(), model));
     }
-    Pass { losses, gradients }
+    BatchGradients { losses, gradients }
 }
 
 /// Some of a batch's pairs with a network of their own.
-struct Part<'a> {
+struct Share<'a> {
     model: UnoPose,
     samples: &'a [TrainSample],
     /// Leaves of the tape.
@@ -96,15 +103,15 @@ struct Part<'a> {
     share: f64,
 }
 
-struct PassedPart {
+struct ShareGradients {
     /// The share's contribution to the whole loss, then the terms.
     losses: Vec<(String, Vec<f32>)>,
     gradients: GradientsParams,
     positions: [Option<Tensor<3>>; 2],
 }
 
-impl Part<'_> {
-    fn pass(self, config: &Config, device: &Device) -> PassedPart {
+impl Share<'_> {
+    fn forward_backward(self, config: &Config, device: &Device) -> ShareGradients {
         let batch = PairTensors::from_samples(self.samples, &config.model, device);
         let computing = self.model.clone().in_precision(config.train.precision);
         let outputs = computing.forward_matching(&batch, self.positions.clone());
@@ -112,7 +119,7 @@ impl Part<'_> {
         losses.total = losses.total * self.share;
         let values = on_host(&losses);
         let mut gradients = (losses.total / config.train.accumulation as f64).backward();
-        PassedPart {
+        ShareGradients {
             losses: values,
             positions: self.positions.map(|position| position?.grad_remove(&mut gradients)),
             gradients: GradientsParams::from_grads(gradients, &self.model),

@@ -14,34 +14,38 @@ use unopose_nn::{
 use unopose_pairs::data::{BatchStream, TrainSample};
 
 use super::{
-    TrainError, beginning,
+    TrainError, bad_batch,
     datasets::Datasets,
-    failure, figures, folder,
+    figures, folder, initial_weights,
     journal::{Event, Journal, StepRecord, ValidationRecord},
+    observer::{Phase, PhaseExtent},
     optimization::Optimization,
-    options::{Ending, TrainOptions, TrainOutcome},
-    progress,
-    replicas::{self, Pass, TOTAL},
+    options::{StopReason, TrainOptions, TrainOutcome},
+    replicas::{BatchGradients, TOTAL, forward_backward},
     schedule::{Schedule, TimeBudget},
-    state::{self, Progress},
+    state::{self, RunState},
     validation::Validation,
 };
 
-/// Trains, or goes on training, in `options.out`.
+/// Trains in `options.out`, or resumes the run there.
 pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
-    let begin = Instant::now();
+    let start = Instant::now();
     require_precision(&options.device, config.train.precision)?;
     folder::prepare(config, options)?;
     if let Some(step) = folder::finished_step(config, &options.out)? {
         let events = Journal::read(&options.out.join("metrics.jsonl"))?;
-        return Ok(TrainOutcome { ending: Ending::AlreadyFinished, step, validations: validations(&events) });
+        return Ok(TrainOutcome {
+            stop_reason: StopReason::AlreadyFinished,
+            step,
+            validations: validations(&events),
+        });
     }
-    let Some(datasets) = Datasets::open_or_generate(config, &options.data_root, &options.interrupt)? else {
-        let step = state::read_progress(&options.out)?.map_or(0, |(step, _)| step);
-        return Ok(TrainOutcome { ending: Ending::Interrupted, step, validations: Vec::new() });
+    let Some(datasets) = Datasets::open_or_generate(config, options)? else {
+        let step = state::read_state(&options.out)?.map_or(0, |(step, _)| step);
+        return Ok(TrainOutcome { stop_reason: StopReason::Interrupted, step, validations: Vec::new() });
     };
     options.interrupt.training_begins();
-    Run::begin(config, options, datasets, begin)?.go()
+    Run::start(config, options, datasets, start)?.run()
 }
 
 struct Run<'a> {
@@ -52,9 +56,9 @@ struct Run<'a> {
     optimization: Optimization<UnoPose>,
     schedule: Schedule,
     journal: Journal,
-    progress: Progress,
-    /// Beginning of the call.
-    begin: Instant,
+    state: RunState,
+    /// Start of the call.
+    start: Instant,
     /// Training time of earlier calls, seconds.
     earlier_s: f64,
     last_checkpoint: Instant,
@@ -64,22 +68,22 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn begin(
+    fn start(
         config: &'a Config,
         options: &'a TrainOptions,
         datasets: Datasets,
-        begin: Instant,
+        start: Instant,
     ) -> Result<Self, TrainError> {
         let device = options.device.clone().autodiff();
         let model = UnoPose::new(&config.model, config.seed, &device);
         let mut optimization = Optimization::new(model, &config.train);
-        let progress = match state::restore(&options.out, &mut optimization, &config.model)? {
-            Some(progress) => progress,
+        let state = match state::restore(&options.out, &mut optimization, &config.model)? {
+            Some(state) => state,
             None => {
-                if let Some(model) = beginning::weights(config, options, optimization.model())? {
+                if let Some(model) = initial_weights::load(config, options, optimization.model())? {
                     optimization = Optimization::new(model, &config.train);
                 }
-                Progress::default()
+                RunState::default()
             }
         };
         let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), optimization.step())?;
@@ -93,9 +97,9 @@ impl<'a> Run<'a> {
             optimization,
             schedule: Schedule::new(&config.train),
             journal,
-            earlier_s: progress.elapsed_s,
-            progress,
-            begin,
+            earlier_s: state.elapsed_s,
+            state,
+            start,
             last_checkpoint: Instant::now(),
             last_validation: Instant::now(),
             validation_time: Duration::ZERO,
@@ -103,38 +107,39 @@ impl<'a> Run<'a> {
         })
     }
 
-    fn go(mut self) -> Result<TrainOutcome, TrainError> {
+    fn run(mut self) -> Result<TrainOutcome, TrainError> {
         let train = &self.config.train;
         let first_step = self.optimization.step();
         if first_step == 0 && self.validated_step.is_none() {
             self.validate()?;
         }
         let reserve = self.validation_time.mul_f64(1.3) + Duration::from_secs(3);
-        let training_begin = Instant::now();
+        let training_start = Instant::now();
         let budget = self.options.time_limit.map(|limit| TimeBudget {
-            training: limit.saturating_sub(self.begin.elapsed()).saturating_sub(reserve),
+            training: limit.saturating_sub(self.start.elapsed()).saturating_sub(reserve),
             first_step,
         });
         let sampler = self.datasets.training_sampler(self.config)?;
         let mut batches = BatchStream::new(
             Arc::new(sampler),
-            self.progress.next_pair,
+            self.state.next_pair,
             train.batch_size,
             workers(train.workers),
             train.prefetch,
         );
-        let mut bar = progress::Progress::new("training", first_step, train.steps)
-            .limited(budget.as_ref().map(|b| b.training));
-        let mut ending = Ending::Finished;
+        let observer = self.options.observer.clone();
+        let extent = PhaseExtent::new(first_step, train.steps);
+        observer.begin(Phase::Training, extent.with_time_limit(budget.as_ref().map(|b| b.training)));
+        let mut stop_reason = StopReason::Finished;
         while self.optimization.step() < train.steps {
             let enough = self.options.stop_at.is_some_and(|stop| self.optimization.step() >= stop);
             if enough || self.options.interrupt.is_requested() {
-                ending = Ending::Interrupted;
+                stop_reason = StopReason::Interrupted;
                 break;
             }
-            let elapsed = training_begin.elapsed();
+            let elapsed = training_start.elapsed();
             if budget.as_ref().is_some_and(|b| b.used(elapsed) >= 1.0) {
-                ending = Ending::TimeUp;
+                stop_reason = StopReason::TimeUp;
                 break;
             }
             let step = self.optimization.step();
@@ -143,16 +148,17 @@ impl<'a> Run<'a> {
                 None => (step as f64, 1.0),
             };
             let record = self.step(&mut batches, ramp * self.schedule.learning_rate(position))?;
-            bar.set(record.step, &format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate));
+            let note = format!("loss {:.3}, rate {:.1e}", record.loss, record.learning_rate);
+            observer.advance(Phase::Training, record.step, &note);
             self.journal.append(&Event::Step(record))?;
-            self.keep_up(&bar)?;
+            self.validate_and_save_when_due()?;
         }
-        bar.finish();
-        self.end(ending)
+        observer.end(Phase::Training);
+        self.finish(stop_reason)
     }
 
     /// Validation and checkpoints that have become due.
-    fn keep_up(&mut self, bar: &progress::Progress) -> Result<(), TrainError> {
+    fn validate_and_save_when_due(&mut self) -> Result<(), TrainError> {
         let train = &self.config.train;
         let step = self.optimization.step();
         let minutes = self.last_validation.elapsed().as_secs_f64() / 60.0;
@@ -160,7 +166,7 @@ impl<'a> Run<'a> {
             || (train.validate_minutes > 0.0 && minutes >= train.validate_minutes);
         if due && step < train.steps {
             let record = self.validate()?;
-            bar.line(&format!("step {step}: {}", record.describe()));
+            self.options.observer.line(&format!("step {step}: {}", record.describe()));
         }
         if due || self.last_checkpoint.elapsed().as_secs_f64() >= train.checkpoint_seconds {
             self.save()?;
@@ -168,17 +174,17 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    fn end(mut self, ending: Ending) -> Result<TrainOutcome, TrainError> {
-        self.progress.finished = ending == Ending::Finished;
+    fn finish(mut self, stop_reason: StopReason) -> Result<TrainOutcome, TrainError> {
+        self.state.finished = stop_reason == StopReason::Finished;
         let step = self.optimization.step();
-        if ending != Ending::Interrupted && self.validated_step != Some(step) {
+        if stop_reason != StopReason::Interrupted && self.validated_step != Some(step) {
             self.validate()?;
         }
         self.save()?;
         let out = &self.options.out;
         let events = Journal::read(&out.join("metrics.jsonl"))?;
         figures::write_training_curves(&out.join("curves.svg"), &events)?;
-        if ending != Ending::Interrupted {
+        if stop_reason != StopReason::Interrupted {
             figures::write_pose_sheet(
                 &out.join("poses.png"),
                 &self.optimization.deployed(),
@@ -187,7 +193,7 @@ impl<'a> Run<'a> {
                 &self.options.device,
             )?;
         }
-        Ok(TrainOutcome { ending, step, validations: validations(&events) })
+        Ok(TrainOutcome { stop_reason, step, validations: validations(&events) })
     }
 
     fn step(&mut self, batches: &mut BatchStream, learning_rate: f64) -> Result<StepRecord, TrainError> {
@@ -197,15 +203,15 @@ impl<'a> Run<'a> {
         for _ in 0..train.accumulation {
             let samples: Vec<TrainSample> =
                 batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
-            let Pass { losses, gradients } =
-                replicas::pass(self.optimization.model(), self.config, &samples, &device);
+            let BatchGradients { losses, gradients } =
+                forward_backward(self.optimization.model(), self.config, &samples, &device);
             self.require_finite(&losses, &samples)?;
             for (name, values) in &losses {
                 let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
                 *record.terms.entry(name.clone()).or_insert(0.0) += mean / train.accumulation as f64;
             }
             gradients.into_iter().for_each(|gradients| self.optimization.add(gradients));
-            self.progress.next_pair += samples.len() as u64;
+            self.state.next_pair += samples.len() as u64;
         }
         record.loss = record.terms.remove(TOTAL).unwrap_or(f64::NAN);
         record.gradient_norm = self.optimization.apply(learning_rate);
@@ -223,37 +229,38 @@ impl<'a> Run<'a> {
         let bad = losses.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
         let Some((term, value)) = bad else { return Ok(()) };
         let step = self.optimization.step() + 1;
-        let batch = failure::save_batch(&self.options.out, step, samples, losses)?;
+        let batch = bad_batch::save(&self.options.out, step, samples, losses)?;
         Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
     }
 
     fn validate(&mut self) -> Result<ValidationRecord, TrainError> {
-        let begin = Instant::now();
+        let start = Instant::now();
         let model = self.optimization.deployed();
-        let mut record = self.validation.run(&model, self.config, &self.options.device)?;
+        let mut record =
+            self.validation.run(&model, self.config, &self.options.device, &*self.options.observer)?;
         record.step = self.optimization.step();
         record.elapsed_s = self.elapsed_s();
         self.journal.append(&Event::Validation(record.clone()))?;
-        if self.progress.best_score.is_none_or(|best| record.score() > best) {
-            self.progress.best_score = Some(record.score());
+        if self.state.best_score.is_none_or(|best| record.score() > best) {
+            self.state.best_score = Some(record.score());
             let meta = Meta { step: record.step, ..Meta::default() };
             checkpoint::save(&self.options.out.join("best.safetensors"), &model, self.config, &meta)?;
         }
         self.validated_step = Some(record.step);
         self.last_validation = Instant::now();
-        self.validation_time = begin.elapsed();
+        self.validation_time = start.elapsed();
         Ok(record)
     }
 
     fn save(&mut self) -> Result<(), TrainError> {
-        self.progress.elapsed_s = self.elapsed_s();
-        state::save(&self.options.out, &self.optimization, self.config, &self.progress)?;
+        self.state.elapsed_s = self.elapsed_s();
+        state::save(&self.options.out, &self.optimization, self.config, &self.state)?;
         self.last_checkpoint = Instant::now();
         Ok(())
     }
 
     fn elapsed_s(&self) -> f64 {
-        self.earlier_s + self.begin.elapsed().as_secs_f64()
+        self.earlier_s + self.start.elapsed().as_secs_f64()
     }
 }
 

@@ -39,7 +39,7 @@ impl Schedule {
 ///
 /// A run that will be cut off should still end at a small learning rate. So the time that has passed also moves the
 /// position: the part of the schedule that is left when the call begins is spread over the time it has. A later call
-/// goes on from the number of steps taken, at the learning rate of that step. Runs without a limit depend on steps
+/// resumes from the number of steps taken, at the learning rate of that step. Runs without a limit depend on steps
 /// alone and are reproducible.
 #[derive(Clone, Debug)]
 pub struct TimeBudget {

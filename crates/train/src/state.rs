@@ -27,7 +27,7 @@ const STATE_PREFIX: &str = "state-";
 
 /// What a run knows besides its tensors.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct RunState {
     /// Index of the next training pair in the stream.
     pub next_pair: u64,
     /// Training time of all calls, seconds.
@@ -48,7 +48,7 @@ pub fn save<M: Module>(
     run: &Path,
     optimization: &Optimization<M>,
     config: &Config,
-    progress: &Progress,
+    state: &RunState,
 ) -> Result<(), TrainError> {
     let io = |path: &Path| {
         let path = path.to_owned();
@@ -77,9 +77,9 @@ pub fn save<M: Module>(
     } else {
         fs::rename(&scratch, &folder).map_err(io(&folder))?;
     }
-    let progress = serde_json::to_string(progress)
+    let state = serde_json::to_string(state)
         .map_err(|e| TrainError::State { path: last_path(run), message: e.to_string() })?;
-    let extra = [(STATE_KEY.to_owned(), name.clone()), (PROGRESS_KEY.to_owned(), progress)].into();
+    let extra = [(STATE_KEY.to_owned(), name.clone()), (PROGRESS_KEY.to_owned(), state)].into();
     checkpoint::save(&last_path(run), optimization.model(), config, &Meta { step, extra })?;
     remove_states_except(run, &name).map_err(io(run))
 }
@@ -89,13 +89,13 @@ pub fn restore<M: Module>(
     run: &Path,
     optimization: &mut Optimization<M>,
     config: &ModelConfig,
-) -> Result<Option<Progress>, TrainError> {
+) -> Result<Option<RunState>, TrainError> {
     let last = last_path(run);
     if !last.exists() {
         return Ok(None);
     }
     let (model, meta) = checkpoint::load_into(&last, optimization.model().clone(), config)?;
-    let progress = progress_of(&meta, &last)?;
+    let state = run_state(&meta, &last)?;
     let folder = run.join(entry(&meta, &last, STATE_KEY)?);
     let adam = read_moments(&folder.join("optimizer.bpk"), optimization.adam().clone())?;
     let average = match optimization.average() {
@@ -108,17 +108,17 @@ pub fn restore<M: Module>(
         None => None,
     };
     optimization.restore(model, average, adam, meta.step);
-    Ok(Some(progress))
+    Ok(Some(state))
 }
 
-/// Steps and progress of the run's last checkpoint, without its tensors.
-pub fn read_progress(run: &Path) -> Result<Option<(u64, Progress)>, TrainError> {
+/// Steps and state of the run's last checkpoint, without its tensors.
+pub fn read_state(run: &Path) -> Result<Option<(u64, RunState)>, TrainError> {
     let last = last_path(run);
     if !last.exists() {
         return Ok(None);
     }
     let meta = checkpoint::read_meta(&last)?;
-    Ok(Some((meta.step, progress_of(&meta, &last)?)))
+    Ok(Some((meta.step, run_state(&meta, &last)?)))
 }
 
 /// Deletes what a run has written into its folder.
@@ -132,7 +132,7 @@ pub fn clear(run: &Path) -> std::io::Result<()> {
     remove_states_except(run, "")
 }
 
-fn progress_of(meta: &Meta, last: &Path) -> Result<Progress, TrainError> {
+fn run_state(meta: &Meta, last: &Path) -> Result<RunState, TrainError> {
     serde_json::from_str(entry(meta, last, PROGRESS_KEY)?)
         .map_err(|e| TrainError::State { path: last.to_owned(), message: format!("{PROGRESS_KEY}: {e}") })
 }
@@ -243,14 +243,14 @@ mod tests {
         // Batch statistics are shared between clones of a module: `fork` them apart by a trip through `valid`.
         let mut half = Optimization::new(start.valid().train(), &config.train);
         steps(&mut half, 0..4, &device);
-        let progress = Progress { next_pair: 16, elapsed_s: 0.1, best_score: Some(-0.25), finished: false };
-        save(folder.path(), &half, &config, &progress).unwrap();
+        let state = RunState { next_pair: 16, elapsed_s: 0.1, best_score: Some(-0.25), finished: false };
+        save(folder.path(), &half, &config, &state).unwrap();
         drop(half);
 
         device.seed(8);
         let mut resumed = Optimization::new(net(&device), &config.train);
         let read = restore(folder.path(), &mut resumed, &config.model).unwrap();
-        assert_eq!(read, Some(progress));
+        assert_eq!(read, Some(state));
         assert_eq!(resumed.step(), 4);
         steps(&mut resumed, 4..8, &device);
         steps(&mut whole, 0..8, &device);
@@ -268,7 +268,7 @@ mod tests {
         let mut optimization = Optimization::new(net(&device), &config.train);
         assert_eq!(restore(run, &mut optimization, &config.model).unwrap(), None);
         steps(&mut optimization, 0..1, &device);
-        save(run, &optimization, &config, &Progress::default()).unwrap();
+        save(run, &optimization, &config, &RunState::default()).unwrap();
         let saved = bits(optimization.model());
         // What a kill leaves: the next step's folder complete or half written, the weights still the old ones.
         fs::create_dir_all(run.join("state-2")).unwrap();
@@ -277,7 +277,7 @@ mod tests {
         restore(run, &mut optimization, &config.model).unwrap();
         assert_eq!((optimization.step(), bits(optimization.model())), (1, saved));
         steps(&mut optimization, 1..4, &device);
-        save(run, &optimization, &config, &Progress::default()).unwrap();
+        save(run, &optimization, &config, &RunState::default()).unwrap();
         let mut names: Vec<_> =
             fs::read_dir(run).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();

@@ -19,7 +19,11 @@ use unopose_pairs::data::{
     CloudInput, DataError, FrameSource, PairSampler, PreparedReference, TrainSample, metric_pose,
 };
 
-use super::{TrainError, journal::ValidationRecord, progress::Progress};
+use super::{
+    TrainError,
+    journal::ValidationRecord,
+    observer::{Phase, PhaseExtent, TrainObserver},
+};
 
 /// How far behind the measured surface a pixel still counts as visible in VSD, metres (BOP's value).
 const VSD_DELTA: f64 = 0.015;
@@ -98,8 +102,9 @@ impl Validation {
         model: &UnoPose,
         config: &Config,
         device: &Device,
+        observer: &dyn TrainObserver,
     ) -> Result<ValidationRecord, TrainError> {
-        let mut progress = Progress::new("validating", 0, self.truths.len() as u64);
+        observer.begin(Phase::Validation, PhaseExtent::new(0, self.truths.len() as u64));
         let (mut final_errors, mut coarse_errors) = (Vec::new(), Vec::new());
         let (mut loss, mut recalls) = (0.0, Vec::new());
         for (batch_index, truths) in self.truths.chunks(config.train.batch_size).enumerate() {
@@ -123,9 +128,9 @@ impl Validation {
             let recall =
                 |((truth, sample), t): ((&Truth, &TrainSample), &Pose)| self.recall(truth, sample, t);
             recalls.par_extend(truths.par_iter().zip(&samples).zip(&final_poses).map(recall));
-            progress.set((first + truths.len()) as u64, "");
+            observer.advance(Phase::Validation, (first + truths.len()) as u64, "");
         }
-        progress.finish();
+        observer.end(Phase::Validation);
         let recalls: Vec<Option<f64>> = recalls.into_iter().collect::<Result<_, _>>()?;
         let recalls: Vec<f64> = recalls.into_iter().collect::<Option<_>>().unwrap_or_default();
         let mut record = summary(&final_errors, &coarse_errors, loss);

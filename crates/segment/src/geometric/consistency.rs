@@ -3,7 +3,7 @@
 //! The reference's points, moved into the query camera, are compared with what is measured at their pixels: points in
 //! front of the measured surface contradict the pose, points behind it are hidden and say nothing.
 
-use crate::embedded::lab;
+use crate::lab::lab;
 use nalgebra::Point3;
 use unopose_core::{
     frame::{Mask, RgbdFrame},

@@ -2,7 +2,7 @@
 
 use unopose_core::frame::Mask;
 
-use crate::embedded::lab;
+use crate::lab::lab;
 
 /// Bins of lightness and of each chroma axis. Lightness is coarse: it changes most between images.
 const BINS: [usize; 3] = [5, 12, 12];

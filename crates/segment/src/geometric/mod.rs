@@ -37,8 +37,8 @@ pub struct GeometricObject {
     histogram: ColorHistogram,
     features: Vec<f32>,
     points: ColoredPoints,
-    /// Spread of the view's points, metres.
-    spread: f64,
+    /// Mean radius of the view's points, metres.
+    mean_radius: f64,
 }
 
 impl Matcher for GeometricMatcher<'_> {
@@ -68,7 +68,7 @@ impl Matcher for GeometricMatcher<'_> {
         let features = self.estimator.color_features(frame, &[mask])?.pop().flatten().unwrap_or_default();
         Ok(GeometricObject {
             histogram: ColorHistogram::new(&frame.rgb, mask),
-            spread: spread(&frame.masked_points(mask)),
+            mean_radius: mean_radius(&frame.masked_points(mask)),
             points: ColoredPoints::new(frame, mask),
             reference,
             features,
@@ -83,7 +83,7 @@ impl Matcher for GeometricMatcher<'_> {
     ) -> Result<Vec<Vec<f64>>, SegmentError> {
         let described: Vec<(ColorHistogram, f64)> = proposals
             .par_iter()
-            .map(|p| (ColorHistogram::new(&frame.rgb, &p.mask), spread(&frame.masked_points(&p.mask))))
+            .map(|p| (ColorHistogram::new(&frame.rgb, &p.mask), mean_radius(&frame.masked_points(&p.mask))))
             .collect();
         // Size and colours.
         let cheap: Vec<Vec<f64>> = objects
@@ -91,8 +91,9 @@ impl Matcher for GeometricMatcher<'_> {
             .map(|object| {
                 described
                     .iter()
-                    .map(|(histogram, spread)| {
-                        size_likeness(*spread, object.spread) * histogram.similarity(&object.histogram).sqrt()
+                    .map(|(histogram, mean_radius)| {
+                        size_likeness(*mean_radius, object.mean_radius)
+                            * histogram.similarity(&object.histogram).sqrt()
                     })
                     .collect()
             })
@@ -113,7 +114,7 @@ impl Matcher for GeometricMatcher<'_> {
                 let likeness = features[p].as_ref().map_or(0.0, |f| cosine(f, &object.features));
                 ordered[p] = row[p] * (0.5 + 0.5 * likeness.clamp(0.0, 1.0));
             }
-            scores.push(self.posed(frame, proposals, object, &ordered));
+            scores.push(self.pose_scores(frame, proposals, object, &ordered));
         }
         Ok(scores)
     }
@@ -121,7 +122,7 @@ impl Matcher for GeometricMatcher<'_> {
 
 impl GeometricMatcher<'_> {
     /// Final scores of the best of `ordered`; the others stay 0.
-    fn posed(
+    fn pose_scores(
         &self,
         frame: &RgbdFrame,
         proposals: &[Proposal],
@@ -168,7 +169,7 @@ fn size_likeness(query: f64, reference: f64) -> f64 {
 }
 
 /// Mean distance to the mean.
-fn spread(points: &[[f32; 3]]) -> f64 {
+fn mean_radius(points: &[[f32; 3]]) -> f64 {
     let count = points.len().max(1) as f64;
     let mean: [f64; 3] = std::array::from_fn(|i| points.iter().map(|p| f64::from(p[i])).sum::<f64>() / count);
     let distance = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - mean[i]).powi(2)).sum::<f64>().sqrt();
@@ -193,7 +194,7 @@ mod tests {
         assert_eq!(size_likeness(0.0, 0.1), 0.0);
         assert_eq!(best(&[0.2, 0.0, 0.9, 0.2], 3), [2, 0, 3]);
         let corners = [[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]];
-        assert_eq!(spread(&corners), 1.0);
+        assert_eq!(mean_radius(&corners), 1.0);
         assert!((cosine(&[1.0, 0.0], &[1.0, 1.0]) - 0.5f64.sqrt()).abs() < 1e-6);
     }
 }

@@ -1,4 +1,4 @@
-//! Masks of everything in an image: clicks on a grid, of whose masks the good, stable and distinct ones stay.
+//! Masks of everything in an image: point prompts on a grid, of whose masks the good, stable and distinct ones stay.
 
 use burn::tensor::{Device, Tensor};
 use image::RgbImage;
@@ -8,19 +8,19 @@ use unopose_dataset::formats::rle::Rle;
 use unopose_infer::InferError;
 
 use super::{
-    input::InputFrame,
     mask_pixels::{Upscaling, resized_mask, stability, thresholded},
     network::{ImageEmbedding, Sam},
     pillow::resized,
+    resize::ResizeLongestSide,
 };
-use crate::{MAX_PROPOSALS, Proposal, SegmentError, suppressed};
+use crate::{MAX_PROPOSALS, Proposal, SegmentError, non_maximum_suppression};
 
 /// Width to which images are resized first.
 const WIDTH: u32 = 640;
 /// Height that very tall images get instead.
 const MAX_HEIGHT: u32 = 4 * WIDTH;
-/// Clicks decoded together: as many as keep the memory below half a gigabyte; the masks do not depend on it.
-const CLICKS: usize = 16;
+/// Point prompts decoded together: as many as keep the memory below half a gigabyte; the masks do not depend on it.
+const POINTS_PER_BATCH: usize = 16;
 /// Masks are kept with a predicted overlap above this, ...
 const MIN_IOU: f32 = 0.88;
 /// ... a stability of at least this, ...
@@ -40,7 +40,7 @@ struct Candidate {
     bounds: BoundingBox,
 }
 
-/// Proposals of an image by descending predicted overlap, from `side x side` clicks.
+/// Proposals of an image by descending predicted overlap, from `side x side` points.
 pub fn proposals(
     network: &Sam,
     rgb: &RgbImage,
@@ -50,15 +50,15 @@ pub fn proposals(
     let own = [rgb.width(), rgb.height()];
     let working = working_size(own);
     let image = resized(rgb, working[0], working[1]);
-    let frame = InputFrame::new(working[0], working[1], network.image_size() as u32);
-    let embedding = network.encode(frame.tensor(&image, device));
+    let resize = ResizeLongestSide::new(working[0], working[1], network.image_size() as u32);
+    let embedding = network.encode(resize.tensor(&image, device));
     let mut candidates = Vec::new();
-    for clicks in grid(side).chunks(CLICKS) {
-        let points: Vec<[f64; 2]> = clicks
+    for batch in grid(side).chunks(POINTS_PER_BATCH) {
+        let points: Vec<[f64; 2]> = batch
             .iter()
-            .map(|&[x, y]| frame.point([x * f64::from(working[0]), y * f64::from(working[1])]))
+            .map(|&[x, y]| resize.point([x * f64::from(working[0]), y * f64::from(working[1])]))
             .collect();
-        candidates.extend(of_clicks(network, &embedding, &points, &frame)?);
+        candidates.extend(candidates_at(network, &embedding, &points, &resize)?);
     }
     let mut proposals = Vec::new();
     for candidate in distinct(candidates, working) {
@@ -86,14 +86,14 @@ fn grid(side: usize) -> Vec<[f64; 2]> {
     (0..side).flat_map(|row| (0..side).map(move |column| [at(column), at(row)])).collect()
 }
 
-/// The good and stable ones of the three masks of each click.
-fn of_clicks(
+/// The good and stable ones of the three masks of each point.
+fn candidates_at(
     network: &Sam,
     image: &ImageEmbedding,
     points: &[[f64; 2]],
-    frame: &InputFrame,
+    resize: &ResizeLongestSide,
 ) -> Result<Vec<Candidate>, InferError> {
-    let decoded = network.decode(image, network.prompt_encoder.clicks(points));
+    let decoded = network.decode(image, network.prompt_encoder.embed_points(points));
     let count = decoded.iou.dims()[1];
     let overlaps = numbers(decoded.iou.clone())?;
     let mut good: Vec<(f32, Vec<f32>)> = Vec::new();
@@ -108,11 +108,11 @@ fn of_clicks(
         good.extend(masks.filter(|(iou, _)| **iou > MIN_IOU).map(|(&iou, logits)| (iou, logits.to_vec())));
     }
     let Some(low) = good.first().map(|(_, logits)| logits.len().isqrt()) else { return Ok(Vec::new()) };
-    let upscaling = Upscaling::new(low, frame);
+    let upscaling = Upscaling::new(low, resize);
     let candidate = |(iou, logits): &(f32, Vec<f32>)| {
         let logits = upscaling.apply(logits);
         stability(&logits).filter(|&stability| stability >= MIN_STABILITY)?;
-        let mask = thresholded(&logits, frame.image);
+        let mask = thresholded(&logits, resize.image);
         let bounds = mask.bounding_box()?;
         Some(Candidate { iou: *iou, area: mask.count(), bounds, mask: Rle::encode(&mask) })
     };
@@ -127,7 +127,7 @@ fn distinct(mut candidates: Vec<Candidate>, [width, height]: [u32; 2]) -> Vec<Ca
         .iter()
         .map(|c| BoundingBox { col_max: c.bounds.col_max - 1, row_max: c.bounds.row_max - 1, ..c.bounds })
         .collect();
-    let mut kept = suppressed(&boxes, BOX_OVERLAP).into_iter().peekable();
+    let mut kept = non_maximum_suppression(&boxes, BOX_OVERLAP).into_iter().peekable();
     let image = f64::from(width) * f64::from(height);
     let of_box = |b: &BoundingBox| f64::from(b.col_max - b.col_min) * f64::from(b.row_max - b.row_min);
     let candidates = candidates.into_iter().enumerate();

@@ -10,7 +10,7 @@ use unopose_nn::model::fused::{PositionBias, linear_gelu, linear_onto, positione
 
 use super::{
     grid::{from_windows, tokens_of, windows_of},
-    layers::{Neck, convolution, linear, neck, parameter, through_neck},
+    layers::{MlpBlock, Neck, convolution, linear, neck, parameter, through_neck},
     sizes::VitSizes,
 };
 
@@ -53,13 +53,6 @@ pub struct Attention {
     /// The same for columns.
     pub rel_pos_w: Param<Tensor<2>>,
     heads: usize,
-}
-
-/// Two-layer perceptron.
-#[derive(Module, Debug)]
-pub struct MlpBlock {
-    pub lin1: Linear,
-    pub lin2: Linear,
 }
 
 impl ImageEncoderVit {

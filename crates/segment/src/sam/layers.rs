@@ -36,6 +36,13 @@ pub fn convolution(channels: [usize; 2], kernel: usize, stride: usize) -> Conv2d
         .with_initializer(Initializer::Zeros)
 }
 
+/// Two-layer perceptron.
+#[derive(Module, Debug)]
+pub struct MlpBlock {
+    pub lin1: Linear,
+    pub lin2: Linear,
+}
+
 /// A table of vectors.
 #[derive(Module, Debug)]
 pub struct Embedding {

@@ -19,8 +19,6 @@ use super::{
     two_way::TwoWayTransformer,
 };
 
-/// Attention heads: every published network has as many, and no shape tells.
-pub(super) const HEADS: usize = 8;
 /// Layers of the heads for overlap and masks.
 const LAYERS: usize = 3;
 /// An image token becomes a square of this many mask pixels.

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 use unopose_core::{frame::Mask, simd::vectorised};
 
-use super::input::InputFrame;
+use super::resize::ResizeLongestSide;
 
 /// Old positions that make up each new one, with their weights.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,12 +58,12 @@ pub struct Upscaling {
 }
 
 impl Upscaling {
-    /// From masks of `low x low` values to the image of `frame`.
-    pub fn new(low: usize, frame: &InputFrame) -> Self {
-        let input = Resampling::bilinear(low, frame.side as usize);
+    /// From masks of `low x low` values to the image that `resize` describes.
+    pub fn new(low: usize, resize: &ResizeLongestSide) -> Self {
+        let input = Resampling::bilinear(low, resize.side as usize);
         let axis = |axis: usize| {
-            let kept = frame.resized[axis] as usize;
-            let rest = Resampling::bilinear(kept, frame.image[axis] as usize);
+            let kept = resize.resized[axis] as usize;
+            let rest = Resampling::bilinear(kept, resize.image[axis] as usize);
             input.clone().cut(kept).then(&rest)
         };
         Self { columns: axis(0), rows: axis(1), width: low }
@@ -138,9 +138,9 @@ mod tests {
         let both = first.then(&Resampling::bilinear(5, 2));
         let got: Vec<f32> = both.0.iter().map(|taps| taps.iter().map(|&(i, w)| i as f32 * w).sum()).collect();
         assert_eq!(got, [0.1875, 1.375]);
-        let frame = InputFrame { image: [2, 2], resized: [5, 5], side: 6 };
+        let resize = ResizeLongestSide { image: [2, 2], resized: [5, 5], side: 6 };
         let values: Vec<f32> = (0..9).map(|i| (i % 3) as f32 + 10.0 * (i / 3) as f32).collect();
-        let out = Upscaling::new(3, &frame).apply(&values);
+        let out = Upscaling::new(3, &resize).apply(&values);
         let expected = [0.1875 + 1.875, 1.375 + 1.875, 0.1875 + 13.75, 1.375 + 13.75];
         assert!(out.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{out:?}");
     }

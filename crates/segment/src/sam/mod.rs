@@ -1,6 +1,6 @@
 //! Segment Anything and MobileSAM as a proposal generator: published weights, run by burn.
 //!
-//! [`SamProposals`] is the whole: automatic masks for a proposal list, or the mask of one click or box.
+//! [`SamProposals`] is the whole: automatic masks for a proposal list, or the mask of one point or box.
 //! [`SamCheckpoint`] reads the published files; [`Sam`] is the network, one file per part, its fields named as the
 //! published tensors are (the original is Apache-2.0).
 
@@ -8,24 +8,24 @@ mod automatic;
 mod conv_bn;
 mod grid;
 mod image_encoder;
-mod input;
 mod layers;
 mod mask_decoder;
 mod mask_pixels;
 mod network;
 mod pillow;
 mod prompt_encoder;
+mod resize;
 mod sizes;
 mod tiny_vit;
 mod two_way;
 mod weights;
 
 pub use image_encoder::ImageEncoderVit;
-pub use input::InputFrame;
 pub use mask_decoder::{Decoded, MaskDecoder};
 pub use mask_pixels::{Upscaling, stability};
 pub use network::{ImageEmbedding, ImageEncoder, Sam};
 pub use prompt_encoder::PromptEncoder;
+pub use resize::ResizeLongestSide;
 pub use sizes::{
     AttentionStageSizes, DecoderSizes, EncoderSizes, SamSizes, StageSizes, TinyVitSizes, VitSizes,
 };
@@ -41,7 +41,7 @@ use unopose_nn::checkpoint::CheckpointError;
 use super::{ImageKey, Prompt, Proposal, ProposalGenerator, SegmentError};
 use mask_pixels::thresholded;
 
-/// Clicks per side of the grid of the automatic masks.
+/// Points per side of the grid of the automatic masks.
 pub const POINTS_PER_SIDE: usize = 32;
 
 /// Proposals by Segment Anything; depth is not looked at.
@@ -68,7 +68,7 @@ impl SamProposals {
         Ok(Self { network, device: device.clone(), points_per_side: POINTS_PER_SIDE, weights })
     }
 
-    /// With a grid of `count x count` clicks, at least one.
+    /// With a grid of `count x count` points, at least one.
     pub fn with_points_per_side(self, count: usize) -> Self {
         Self { points_per_side: count.max(1), ..self }
     }
@@ -83,16 +83,16 @@ impl ProposalGenerator for SamProposals {
         automatic::proposals(&self.network, &frame.rgb, self.points_per_side, &self.device)
     }
 
-    /// The best of three masks for a click; the one mask for a box, which means one thing only.
-    fn prompted(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
+    /// The best of three masks for a point; the one mask for a box, which is not ambiguous.
+    fn segment_prompt(&self, frame: &RgbdFrame, prompt: Prompt) -> Result<Proposal, SegmentError> {
         prompt.check(frame.width(), frame.height())?;
-        let input = InputFrame::new(frame.width(), frame.height(), self.network.image_size() as u32);
-        let image = self.network.encode(input.tensor(&frame.rgb, &self.device));
+        let resize = ResizeLongestSide::new(frame.width(), frame.height(), self.network.image_size() as u32);
+        let image = self.network.encode(resize.tensor(&frame.rgb, &self.device));
         let encoder = &self.network.prompt_encoder;
-        let at = |col: u32, row: u32| input.point([f64::from(col), f64::from(row)]);
+        let at = |col: u32, row: u32| resize.point([f64::from(col), f64::from(row)]);
         let prompts = match prompt {
-            Prompt::Point(col, row) => encoder.clicks(&[at(col, row)]),
-            Prompt::Box(b) => encoder.frame([at(b.col_min, b.row_min), at(b.col_max, b.row_max)]),
+            Prompt::Point(col, row) => encoder.embed_points(&[at(col, row)]),
+            Prompt::Box(b) => encoder.embed_box([at(b.col_min, b.row_min), at(b.col_max, b.row_max)]),
         };
         let decoded = self.network.decode(&image, prompts);
         let overlaps = automatic::numbers(decoded.iou.clone())?;
@@ -103,9 +103,9 @@ impl ProposalGenerator for SamProposals {
         let best = masks.max_by(|&a, &b| overlaps[a].total_cmp(&overlaps[b])).unwrap_or(0);
         let logits = self.network.masks(&image, &decoded, 0, best..best + 1);
         let low = logits.dims()[2];
-        let logits = Upscaling::new(low, &input).apply(&automatic::numbers(logits)?);
+        let logits = Upscaling::new(low, &resize).apply(&automatic::numbers(logits)?);
         let score = overlaps.get(best).map_or(0.0, |iou| iou.clamp(0.0, 1.0));
-        let found = Proposal::new(thresholded(&logits, input.image), score);
+        let found = Proposal::new(thresholded(&logits, resize.image), score);
         found.ok_or_else(|| prompt.refused("on an object: the mask that the network finds is empty".into()))
     }
 }

@@ -46,18 +46,18 @@ impl PromptEncoder {
         }
     }
 
-    /// Clicks inside objects, x and y in pixels of the padded input, as prompts of their own: `[P, 2, D]`, the click and a
-    /// token that says that there is no box.
-    pub fn clicks(&self, points: &[[f64; 2]]) -> Tensor<3> {
+    /// Points inside objects, x and y in pixels of the padded input, each a prompt of its own: `[P, 2, D]`, the point and
+    /// a token that stands for the absent box.
+    pub fn embed_points(&self, points: &[[f64; 2]]) -> Tensor<3> {
         let count = points.len();
-        let clicks = self.at(points).unsqueeze_dim::<3>(1) + self.kind(INSIDE); // [P, 1, D]
-        let width = clicks.dims()[2];
+        let tokens = self.at(points).unsqueeze_dim::<3>(1) + self.kind(INSIDE); // [P, 1, D]
+        let width = tokens.dims()[2];
         let none = self.not_a_point_embed.weight.val().unsqueeze::<3>().expand([count, 1, width]);
-        Tensor::cat(vec![clicks, none], 1)
+        Tensor::cat(vec![tokens, none], 1)
     }
 
     /// A box by its upper left and lower right corner: `[1, 2, D]`.
-    pub fn frame(&self, corners: [[f64; 2]; 2]) -> Tensor<3> {
+    pub fn embed_box(&self, corners: [[f64; 2]; 2]) -> Tensor<3> {
         let kinds = Tensor::cat(vec![self.kind(CORNERS), self.kind(CORNERS + 1)], 1);
         self.at(&corners).unsqueeze::<3>() + kinds
     }

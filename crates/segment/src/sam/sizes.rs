@@ -2,8 +2,6 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use super::mask_decoder::HEADS;
-
 /// Names and shapes of a file's tensors.
 pub(super) type Shapes = BTreeMap<String, Vec<usize>>;
 
@@ -92,6 +90,9 @@ pub(super) enum SizeError {
         expected: &'static str,
     },
 }
+
+/// Attention heads of the decoder: every published network has as many, and no shape tells.
+pub(super) const HEADS: usize = 8;
 
 /// MobileSAM's files do not say for which image size they are.
 const MOBILE_SAM_IMAGE: usize = 1024;

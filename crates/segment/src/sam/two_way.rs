@@ -14,7 +14,10 @@ use burn::{
 };
 use unopose_nn::model::fused::add_layer_norm;
 
-use super::{image_encoder::MlpBlock, layers::linear, mask_decoder::HEADS, sizes::DecoderSizes};
+use super::{
+    layers::{MlpBlock, linear},
+    sizes::{DecoderSizes, HEADS},
+};
 
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 

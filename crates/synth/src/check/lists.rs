@@ -30,11 +30,11 @@ fn files_ending(folder: &Path, suffix: &str) -> Vec<PathBuf> {
     files
 }
 
-/// Collects up to a few examples of what a list refers to in vain.
+/// Entries of a list that refer to nothing.
 #[derive(Default)]
-struct Vain(Vec<String>);
+struct Dangling(Vec<String>);
 
-impl Vain {
+impl Dangling {
     fn finding(self, file: &Path, what: &str) -> Option<Finding> {
         let examples = self.0.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
         (!self.0.is_empty())
@@ -52,15 +52,17 @@ pub(super) fn check_index_files(
     let mut findings = Vec::new();
     let keys_file = folder.join("key_to_shard.json");
     if keys_file.is_file() {
-        let (mut vain, list) = (Vain::default(), read_json::<BTreeMap<String, u32>>(&keys_file)?);
+        let (mut dangling, list) = (Dangling::default(), read_json::<BTreeMap<String, u32>>(&keys_file)?);
         for (key, shard) in &list {
             if known.get(key).is_none_or(|k| k.shard != *shard) {
-                vain.0.push(format!("{key} in shard {shard}"));
+                dangling.0.push(format!("{key} in shard {shard}"));
             }
         }
-        vain.0.extend(known.keys().filter(|k| !list.contains_key(*k)).map(|k| format!("{k} is not listed")));
-        vain.0.sort();
-        findings.extend(vain.finding(&keys_file, "entries do not agree with the shards"));
+        dangling
+            .0
+            .extend(known.keys().filter(|k| !list.contains_key(*k)).map(|k| format!("{k} is not listed")));
+        dangling.0.sort();
+        findings.extend(dangling.finding(&keys_file, "entries do not agree with the shards"));
     }
     // "shard/KEY"
     let split = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
@@ -72,14 +74,14 @@ pub(super) fn check_index_files(
     for file in &valid_files {
         let list: BTreeMap<String, Vec<u32>> = read_json(file)?;
         let all = list.iter().flat_map(|(name, ids)| ids.iter().map(|id| (split(name), *id)));
-        let vain = all.filter(|(key, id)| bad(key, *id)).map(|(key, id)| format!("{key} instance {id}"));
-        findings.extend(Vain(vain.collect()).finding(file, "instances are not in the shards"));
+        let dangling = all.filter(|(key, id)| bad(key, *id)).map(|(key, id)| format!("{key} instance {id}"));
+        findings.extend(Dangling(dangling.collect()).finding(file, "instances are not in the shards"));
     }
     for file in files_ending(root, "_visib0_8_scene_im_inst_ids.json") {
         let list: BTreeMap<String, Vec<ReferenceEntry>> = read_json(&file)?;
-        let vain = list.values().flatten().filter(|r| bad(&r.1, r.2));
-        let vain = Vain(vain.map(|r| format!("{} instance {}", r.1, r.2)).collect());
-        findings.extend(vain.finding(&file, "references are not in the shards"));
+        let dangling = list.values().flatten().filter(|r| bad(&r.1, r.2));
+        let dangling = Dangling(dangling.map(|r| format!("{} instance {}", r.1, r.2)).collect());
+        findings.extend(dangling.finding(&file, "references are not in the shards"));
     }
     if generated && valid_files.is_empty() {
         findings.push(Finding::new(
@@ -102,23 +104,23 @@ pub(super) fn check_targets(root: &Path, splits: &[BopSplit]) -> Vec<Finding> {
     let mut findings = Vec::new();
     let files = files_ending(root, ".json").into_iter();
     for file in files.filter(|f| f.file_name().is_some_and(|n| n.to_string_lossy().contains("targets"))) {
-        let mut vain = Vain::default();
+        let mut dangling = Dangling::default();
         match read_targets(&file) {
             Ok(targets) => {
                 for t in
                     targets.iter().filter(|t| count(t.scene_id, t.im_id, t.obj_id) < t.inst_count as usize)
                 {
-                    vain.0.push(format!("scene {} image {} object {}", t.scene_id, t.im_id, t.obj_id));
+                    dangling.0.push(format!("scene {} image {} object {}", t.scene_id, t.im_id, t.obj_id));
                 }
             }
             Err(error) => findings.push(Finding::new("targets", error)),
         }
-        findings.extend(vain.finding(&file, "targets are not annotated"));
+        findings.extend(dangling.finding(&file, "targets are not annotated"));
         let Ok(references) = read_reference_targets(&file) else { continue };
         let absent = references.iter().filter(|r| count(r.ref_scene_id, r.ref_im_id, r.obj_id) == 0);
-        let vain =
+        let dangling =
             absent.map(|r| format!("scene {} image {} object {}", r.ref_scene_id, r.ref_im_id, r.obj_id));
-        findings.extend(Vain(vain.collect()).finding(&file, "references are not annotated"));
+        findings.extend(Dangling(dangling.collect()).finding(&file, "references are not annotated"));
     }
     findings
 }

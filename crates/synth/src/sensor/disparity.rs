@@ -12,9 +12,8 @@ use unopose_core::{config::SensorConfig, frame::DepthMap};
 use unopose_dataset::render::Rendering;
 
 use super::{
-    DepthSensor, REFERENCE_WIDTH, Style,
+    depth_sensor::{DepthSensor, REFERENCE_WIDTH, Style, reflection_loss, spots},
     field::{correlated, normal_cdf},
-    reflection_loss, spots,
 };
 use crate::random::Draw;
 

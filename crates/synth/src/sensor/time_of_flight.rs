@@ -11,9 +11,8 @@ use unopose_core::{config::SensorConfig, frame::DepthMap};
 use unopose_dataset::render::Rendering;
 
 use super::{
-    DepthSensor, REFERENCE_WIDTH,
+    depth_sensor::{DepthSensor, REFERENCE_WIDTH, reflection_loss, spots},
     field::{correlated, normal_cdf},
-    reflection_loss, spots,
 };
 use crate::random::Draw;
 

@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Solid,
     boxes::rounded_box,
     loft::{self, Section},
+    solid::Solid,
 };
 use crate::random::Draw;
 

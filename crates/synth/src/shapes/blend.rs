@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use super::Solid;
+use super::solid::Solid;
 use crate::random::Draw;
 
 /// Grid cells along the longest side.

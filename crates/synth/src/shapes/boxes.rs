@@ -3,7 +3,10 @@
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Solid, Symmetry, loft};
+use super::{
+    loft,
+    solid::{Solid, Symmetry},
+};
 use crate::random::Draw;
 
 /// Box of full size `size` around the origin with edges bevelled by `bevel`.

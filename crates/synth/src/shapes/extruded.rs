@@ -5,7 +5,10 @@ use std::f32::consts::TAU;
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Solid, Symmetry, loft};
+use super::{
+    boxes, loft,
+    solid::{Solid, Symmetry},
+};
 use crate::random::Draw;
 
 const POINTS: usize = 96;
@@ -70,7 +73,7 @@ pub(super) fn gear(rng: &mut ChaCha8Rng) -> Solid {
         symmetry.folds = gcd(symmetric_folds, 32);
     }
     if rng.chance(0.35) {
-        let arm = super::boxes::rounded_box(
+        let arm = boxes::rounded_box(
             [rng.between(0.3, 0.7), rng.between(0.08, 0.2), height * rng.between(0.5, 0.9)],
             0.01,
             1,

@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 
 use nalgebra::Vector3;
 
-use super::Solid;
+use super::solid::Solid;
 
 type Ring = Vec<Vector3<f32>>;
 

@@ -4,159 +4,19 @@ mod assembled;
 mod blend;
 mod boxes;
 mod extruded;
+mod family;
 mod loft;
 mod revolved;
 mod smooth;
+mod solid;
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+pub use family::Family;
+pub use solid::{Solid, Symmetry};
+
+use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
-use unopose_dataset::mesh::TriangleMesh;
 
 use super::random::Draw;
-
-/// Object families of the procedural library.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Family {
-    /// Bevelled boxes, cartons with lids, tapered blocks.
-    Box,
-    /// Boxes of pages with overhanging covers.
-    Book,
-    /// L, T, U and Z brackets, blocks with holes for screws left out.
-    Bracket,
-    Bottle,
-    /// Tins, jars, rolls.
-    Can,
-    Bowl,
-    Mug,
-    /// Gears, knobs, stars and rings.
-    Gear,
-    Superquadric,
-    /// Displaced spheres: fruit, stones, bread-like lumps.
-    Organic,
-    /// Handles with heads.
-    Tool,
-    /// Remote controls and game controllers with buttons.
-    Controller,
-    /// Lofts with a sole.
-    Shoe,
-    /// Unions of primitives.
-    Toy,
-    /// Smoothly blended primitives, meshed from a signed distance.
-    Blend,
-    /// Bent tubes, handles and hooks.
-    Tube,
-}
-
-impl Family {
-    pub const ALL: [Family; 16] = [
-        Family::Box,
-        Family::Book,
-        Family::Bracket,
-        Family::Bottle,
-        Family::Can,
-        Family::Bowl,
-        Family::Mug,
-        Family::Gear,
-        Family::Superquadric,
-        Family::Organic,
-        Family::Tool,
-        Family::Controller,
-        Family::Shoe,
-        Family::Toy,
-        Family::Blend,
-        Family::Tube,
-    ];
-
-    /// Lower-case name, also used in object names.
-    pub fn name(self) -> &'static str {
-        match self {
-            Family::Box => "box",
-            Family::Book => "book",
-            Family::Bracket => "bracket",
-            Family::Bottle => "bottle",
-            Family::Can => "can",
-            Family::Bowl => "bowl",
-            Family::Mug => "mug",
-            Family::Gear => "gear",
-            Family::Superquadric => "superquadric",
-            Family::Organic => "organic",
-            Family::Tool => "tool",
-            Family::Controller => "controller",
-            Family::Shoe => "shoe",
-            Family::Toy => "toy",
-            Family::Blend => "blend",
-            Family::Tube => "tube",
-        }
-    }
-}
-
-/// Rotations about z (and half turns) that map a shape onto itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Symmetry {
-    /// Every rotation about z.
-    pub continuous: bool,
-    /// Rotations by multiples of 360 / folds degrees about z; 0 and 1 mean none.
-    pub folds: u32,
-    /// The half turn about x.
-    pub flip: bool,
-}
-
-impl Symmetry {
-    fn axis(flip: bool) -> Self {
-        Self { continuous: true, folds: 0, flip }
-    }
-
-    fn folds(folds: u32) -> Self {
-        Self { continuous: false, folds, flip: false }
-    }
-
-    fn is_none(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
-/// A closed surface with shared vertices (no normals, no texture coordinates yet).
-#[derive(Clone, Debug, Default)]
-pub struct Solid {
-    pub mesh: TriangleMesh,
-    /// Part number per vertex, for colouring.
-    pub parts: Vec<u8>,
-    pub symmetry: Symmetry,
-}
-
-impl Solid {
-    fn push(&mut self, point: Vector3<f32>, part: u8) -> u32 {
-        self.mesh.vertices.push(point.into());
-        self.parts.push(part);
-        self.parts.len() as u32 - 1
-    }
-
-    /// Adds another closed surface; the two may overlap.
-    fn append(&mut self, other: &Solid) {
-        let offset = self.mesh.vertices.len() as u32;
-        self.mesh.vertices.extend(&other.mesh.vertices);
-        self.mesh.faces.extend(other.mesh.faces.iter().map(|f| f.map(|i| i + offset)));
-        self.parts.extend(&other.parts);
-    }
-
-    fn map(mut self, f: impl Fn(Vector3<f32>) -> Vector3<f32>) -> Self {
-        for v in &mut self.mesh.vertices {
-            *v = f(Vector3::from(*v)).into();
-        }
-        self
-    }
-
-    fn moved(self, by: Vector3<f32>) -> Self {
-        self.map(|p| p + by)
-    }
-
-    fn turned(self, axis: Vector3<f32>, degrees: f32) -> Self {
-        let r: Matrix3<f32> = *Rotation3::from_scaled_axis(axis * degrees.to_radians()).matrix();
-        self.map(|p| r * p)
-    }
-}
 
 /// A shape of the family with the given diameter (metres), centred; symmetry axes stay on z through the origin.
 pub fn build(family: Family, diameter: f32, rng: &mut ChaCha8Rng) -> Solid {

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Solid, Symmetry,
     loft::{self, Section},
+    solid::{Solid, Symmetry},
 };
 use crate::random::Draw;
 

@@ -5,8 +5,11 @@ use std::f32::consts::{FRAC_PI_2, TAU};
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Solid, Symmetry, loft};
-use crate::{random::Draw, texture::noise};
+use super::{
+    boxes, loft,
+    solid::{Solid, Symmetry},
+};
+use crate::{noise, random::Draw};
 
 const RINGS: usize = 32;
 const SEGMENTS: usize = 56;
@@ -102,7 +105,7 @@ pub(super) fn shoe(rng: &mut ChaCha8Rng) -> Solid {
         *part = u8::from(v[2] < sole);
     }
     if rng.chance(0.6) {
-        let tongue = super::boxes::rounded_box([width * 0.8, 0.22, 0.05], 0.02, 2);
+        let tongue = boxes::rounded_box([width * 0.8, 0.22, 0.05], 0.02, 2);
         let tilt = tongue.turned(Vector3::x(), -35.0);
         solid.append(&tilt.moved(Vector3::new(0.0, instep - 0.42, 0.75 * heel)));
     }

@@ -1,3 +1,6 @@
+use nalgebra::Rotation3;
+use unopose_dataset::mesh::TriangleMesh;
+
 use super::*;
 use crate::random::{Domain, stream};
 

@@ -8,7 +8,7 @@ use unopose_dataset::render::{Camera, SceneRenderer, instance_views};
 
 use super::{
     random::{Domain, stream},
-    scene::{self, Arrangement, Stock},
+    scene::{self, Arrangement, SceneAssets},
     *,
 };
 
@@ -27,16 +27,16 @@ fn small() -> SynthConfig {
     }
 }
 
-fn stock(config: &SynthConfig) -> Stock {
-    models::ObjectCache::new(config).unwrap().stock(config, 0)
+fn assets(config: &SynthConfig) -> SceneAssets {
+    object_cache::ObjectCache::new(config).unwrap().scene_assets(config, 0)
 }
 
 /// A few scenes with one view each.
-fn views(config: &SynthConfig, stock: &Stock, count: u64) -> Vec<(Arrangement, Camera)> {
+fn views(config: &SynthConfig, assets: &SceneAssets, count: u64) -> Vec<(Arrangement, Camera)> {
     (0..count)
         .map(|k| {
             let mut rng = stream(config.seed, Domain::Scene, k);
-            let arrangement = scene::arrange(config, stock, &mut rng);
+            let arrangement = scene::arrange(config, assets, &mut rng);
             let camera = arrangement.camera(config, k as usize, count as usize, &mut rng);
             (arrangement, camera)
         })
@@ -46,9 +46,9 @@ fn views(config: &SynthConfig, stock: &Stock, count: u64) -> Vec<(Arrangement, C
 #[test]
 fn depth_inside_visible_masks_is_where_an_independent_ray_meets_the_mesh() {
     let config = SynthConfig { width: 320, height: 240, ..small() };
-    let stock = stock(&config);
+    let assets = assets(&config);
     let (mut checked, mut off, mut worst) = (0, 0, 0f32);
-    for (arrangement, camera) in views(&config, &stock, 4) {
+    for (arrangement, camera) in views(&config, &assets, 4) {
         let scene = &arrangement.scene;
         let view = SceneRenderer::new(scene).render(&camera, 1);
         let meshes: Vec<TriMesh> = scene
@@ -85,8 +85,8 @@ fn depth_inside_visible_masks_is_where_an_independent_ray_meets_the_mesh() {
 #[test]
 fn vertices_project_into_the_silhouette_and_visibility_follows_from_the_masks() {
     let config = small();
-    let stock = stock(&config);
-    for (arrangement, camera) in views(&config, &stock, 4) {
+    let assets = assets(&config);
+    for (arrangement, camera) in views(&config, &assets, 4) {
         let scene = &arrangement.scene;
         let view = SceneRenderer::new(scene).render(&camera, 1);
         for (object, instance) in scene.objects.iter().zip(instance_views(&scene.objects, &camera, &view.ids))
@@ -156,8 +156,8 @@ fn collision_hulls_enclose_their_meshes() {
 #[test]
 fn gathered_light_darkens_what_is_enclosed_and_keeps_open_ground() {
     let config = SynthConfig { distractors: [0, 0], bins: 0.0, shelves: 0.0, tumbling: 0.0, ..small() };
-    let stock = stock(&config);
-    let (arrangement, camera) = views(&config, &stock, 1).remove(0);
+    let assets = assets(&config);
+    let (arrangement, camera) = views(&config, &assets, 1).remove(0);
     let mut scene = arrangement.scene;
     scene.lights.clear();
     (scene.sky, scene.ground) = ([1.0; 3], [1.0; 3]);

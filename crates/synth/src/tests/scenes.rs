@@ -5,7 +5,7 @@ use parry3d::{query::contact, shape::SharedShape};
 use unopose_core::config::SynthConfig;
 use unopose_dataset::render::Placed;
 
-use super::{super::setting::Place, small, stock, views};
+use super::{super::place::Place, assets, small, views};
 
 fn lowest(object: &Placed) -> f64 {
     let height = |v: &[f32; 3]| f64::from(object.t_world_object.transform_f32(v)[2]);
@@ -15,9 +15,9 @@ fn lowest(object: &Placed) -> f64 {
 #[test]
 fn settled_objects_rest_on_the_table() {
     let config = SynthConfig { tumbling: 0.0, bins: 0.0, shelves: 0.0, ..small() };
-    let stock = stock(&config);
+    let assets = assets(&config);
     let (mut objects, mut deep, mut floating) = (0, 0, 0);
-    for (arrangement, _) in views(&config, &stock, 6) {
+    for (arrangement, _) in views(&config, &assets, 6) {
         let lowest: Vec<f64> = arrangement.scene.objects.iter().map(lowest).collect();
         objects += lowest.len();
         deep += lowest.iter().filter(|z| **z < -0.002).count();
@@ -31,8 +31,8 @@ fn settled_objects_rest_on_the_table() {
 #[test]
 fn objects_stay_in_bins_and_on_shelves_and_out_of_each_other() {
     let config = SynthConfig { tumbling: 0.0, bins: 0.5, shelves: 0.5, ..small() };
-    let stock = stock(&config);
-    let all: Vec<_> = stock.objects.iter().chain(&stock.distractors).collect();
+    let assets = assets(&config);
+    let all: Vec<_> = assets.objects.iter().chain(&assets.distractors).collect();
     let shape = |placed: &Placed| {
         let object = all.iter().find(|o| std::sync::Arc::ptr_eq(&o.mesh, &placed.mesh)).unwrap();
         let parts = if object.parts.is_empty() { vec![object.hull.clone()] } else { object.parts.clone() };
@@ -45,7 +45,7 @@ fn objects_stay_in_bins_and_on_shelves_and_out_of_each_other() {
         Isometry3::from_parts(Translation3::from(t.translation.cast::<f32>()), rotation)
     };
     let (mut bins, mut hidden, mut depths) = (0, 0, Vec::new());
-    for (arrangement, camera) in views(&config, &stock, 8) {
+    for (arrangement, camera) in views(&config, &assets, 8) {
         let objects = &arrangement.scene.objects;
         bins += usize::from(matches!(arrangement.place, Place::Bin { .. }));
         hidden += objects.len() - arrangement.obj_ids.len();

@@ -51,7 +51,7 @@ fn same_bytes_with_any_threads_and_after_an_interruption() {
         assert!(b_files[name] == *bytes, "{name} differs");
     }
     let again = generate(&config, a.path(), &|_| {}).unwrap();
-    assert_eq!(again, Summary { shards_kept: 3, ..Summary::default() });
+    assert_eq!(again, GenerationSummary { shards_kept: 3, ..GenerationSummary::default() });
     assert!(contents(a.path()) == a_files);
     let other = SynthConfig { seed: 12, ..config.clone() };
     let error = generate(&other, a.path(), &|_| {}).unwrap_err().to_string();

@@ -6,11 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use unopose_dataset::render::Finish;
 
 use super::{
-    noise,
     pattern::{Color, Pattern},
     print,
 };
-use crate::{random::Draw, shapes::Symmetry};
+use crate::{noise, random::Draw, shapes::Symmetry};
 
 /// A print on the surface.
 #[derive(Clone, Debug)]
@@ -99,7 +98,7 @@ impl Look {
     }
 
     /// What is left of a shape's symmetry with these colours on the given parts.
-    pub fn keep(&self, symmetry: Symmetry, parts: &[u8]) -> Symmetry {
+    pub fn remaining_symmetry(&self, symmetry: Symmetry, parts: &[u8]) -> Symmetry {
         let used: Vec<&Pattern> = (0..PARTS)
             .filter(|&k| parts.iter().any(|&p| p as usize % PARTS == k))
             .map(|k| &self.patterns[k])

@@ -1,8 +1,7 @@
-//! Procedural textures: noise, solid patterns, prints, and their baking into an object's texture map.
+//! Procedural textures: solid patterns, prints, and their baking into an object's texture map.
 
 mod bake;
 mod look;
-pub(super) mod noise;
 pub(super) mod pattern;
 mod print;
 mod scenery;

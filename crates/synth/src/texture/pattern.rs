@@ -3,8 +3,7 @@
 use nalgebra::{Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use super::noise;
-use crate::random::Draw;
+use crate::{noise, random::Draw};
 
 /// sRGB, 0..1.
 pub(crate) type Color = Vector3<f32>;

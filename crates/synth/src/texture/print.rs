@@ -4,11 +4,8 @@ use image::{Rgba, RgbaImage};
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    noise,
-    pattern::{Color, object_color},
-};
-use crate::random::Draw;
+use super::pattern::{Color, object_color};
+use crate::{noise, random::Draw};
 
 /// Draws on a picture in its own 0..1 coordinates (x right, y down).
 struct Canvas {

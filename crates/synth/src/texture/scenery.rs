@@ -5,11 +5,10 @@ use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    noise,
     pattern::{Color, Pattern, object_color},
     print,
 };
-use crate::random::Draw;
+use crate::{noise, random::Draw};
 
 /// A picture of one colour.
 pub(crate) fn plain(rng: &mut ChaCha8Rng) -> RgbImage {
@@ -50,7 +49,7 @@ pub(crate) fn scenery(resolution: u32, rng: &mut ChaCha8Rng) -> RgbImage {
         })
         .collect();
     for _ in 0..rng.count(5, 22) {
-        thing(&mut canvas, resolution, rng);
+        draw_item(&mut canvas, resolution, rng);
     }
     let picture =
         RgbImage::from_fn(resolution, resolution, |x, y| to_pixel(&canvas[(y * resolution + x) as usize]));
@@ -65,7 +64,7 @@ fn to_pixel(color: &Color) -> Rgb<u8> {
 }
 
 /// A board, a box, a poster or a round thing with some light and shade.
-fn thing(canvas: &mut [Color], resolution: u32, rng: &mut ChaCha8Rng) {
+fn draw_item(canvas: &mut [Color], resolution: u32, rng: &mut ChaCha8Rng) {
     let side = resolution as f32;
     let (w, h) = match rng.count(0, 3) {
         // Boards and posts.

@@ -4,17 +4,14 @@ use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    noise,
-    pattern::{Color, Pattern, hsv, object_color},
-};
-use crate::random::Draw;
+use super::pattern::{Color, Pattern, hsv, object_color};
+use crate::{noise, random::Draw};
 
 /// A surface material; coordinates are metres.
-enum Top {
+enum Material {
     Wood(Wood),
     /// Squares of two materials.
-    Inlay(Box<[Top; 2]>, f32),
+    Inlay(Box<[Material; 2]>, f32),
     /// Base and vein colours, strength of veins and speckles.
     Stone([Color; 2], [f32; 2], u32),
     /// Two yarns, threads per metre.
@@ -24,10 +21,10 @@ enum Top {
 
 /// A repeating picture: `resolution` pixels stand for `extent` metres.
 pub(crate) fn tile(resolution: u32, extent: f32, rng: &mut ChaCha8Rng) -> RgbImage {
-    let top = Top::draw(extent, rng);
+    let material = Material::draw(extent, rng);
     let step = extent / resolution as f32;
     RgbImage::from_fn(resolution, resolution, |x, y| {
-        let color = top.color((x as f32 + 0.5) * step, (y as f32 + 0.5) * step, extent);
+        let color = material.color((x as f32 + 0.5) * step, (y as f32 + 0.5) * step, extent);
         Rgb(color.map(|v| (v.clamp(0.0, 1.0) * 255.0) as u8).into())
     })
 }
@@ -39,7 +36,7 @@ fn muted(rng: &mut ChaCha8Rng) -> Color {
     color.lerp(&Color::repeat(color.mean()), share)
 }
 
-impl Top {
+impl Material {
     fn draw(extent: f32, rng: &mut ChaCha8Rng) -> Self {
         match rng.between(0.0, 1.0) {
             d if d < 0.32 => Self::Wood(Wood::draw(extent, rng)),

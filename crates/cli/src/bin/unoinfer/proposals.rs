@@ -6,7 +6,7 @@ use anyhow::bail;
 use clap::Args;
 use unopose_nn::device::{DeviceChoice, keep_freed_memory};
 use unopose_segment::{
-    EmbeddedProposals, ListedProposals, ProposalGenerator, SamProposals, sam::POINTS_PER_SIDE,
+    ListedProposals, ProposalGenerator, RegionProposals, SamProposals, sam::POINTS_PER_SIDE,
 };
 
 /// The source without weights.
@@ -55,7 +55,7 @@ pub fn generator(
 ) -> anyhow::Result<Box<dyn ProposalGenerator>> {
     let path = Path::new(source);
     Ok(match source {
-        EMBEDDED => Box::new(EmbeddedProposals),
+        EMBEDDED => Box::new(RegionProposals),
         _ if is_weights(source) => {
             // Every batch of clicks takes and frees hundreds of megabytes.
             keep_freed_memory();

@@ -16,7 +16,7 @@ use unopose_dataset::formats::{
 };
 use unopose_eval::report::overlay;
 use unopose_infer::ViewFiles;
-use unopose_segment::{AnyMatcher, Matcher, Prompt, Proposal, SegmentError, Segmentation, UnoSeg};
+use unopose_segment::{AnyMatcher, ImageSegmentation, Matcher, Prompt, Proposal, SegmentError, UnoSeg};
 
 use super::{
     options::EstimatorOptions,
@@ -120,7 +120,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     }
     let start = std::time::Instant::now();
     if let Some(prompt) = prompt(arguments)? {
-        let chosen = generator.prompted(&frame, prompt)?;
+        let chosen = generator.segment_prompt(&frame, prompt)?;
         let mask = arguments.out.join("mask.png");
         write_mask(&mask, &chosen.mask)?;
         println!("{}: {} pixels", mask.display(), chosen.mask.count());
@@ -182,9 +182,9 @@ fn prompt(arguments: &SegmentArguments) -> anyhow::Result<Option<Prompt>> {
 }
 
 /// Confident detections, or the best one.
-fn instances<'a, M: Matcher>(matcher: &M, found: &'a Segmentation) -> Vec<(&'a Proposal, f64)> {
-    let confident = found.found.iter().take_while(|a| a.score > matcher.instance_score()).count();
-    let best = found.found.iter().take(confident.max(1));
+fn instances<'a, M: Matcher>(matcher: &M, found: &'a ImageSegmentation) -> Vec<(&'a Proposal, f64)> {
+    let confident = found.assignments.iter().take_while(|a| a.score > matcher.instance_score()).count();
+    let best = found.assignments.iter().take(confident.max(1));
     best.filter_map(|a| Some((found.proposals.get(a.proposal)?, a.score))).collect()
 }
 

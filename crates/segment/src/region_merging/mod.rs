@@ -15,8 +15,6 @@ mod planes;
 mod ranking;
 mod regions;
 
-pub use grid::lab;
-
 use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError, box_iou};
 use grid::Grid;
 use hierarchy::Strategy;
@@ -34,9 +32,9 @@ const FLAT: f32 = 0.5;
 
 /// The generator without weights.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct EmbeddedProposals;
+pub struct RegionProposals;
 
-impl ProposalGenerator for EmbeddedProposals {
+impl ProposalGenerator for RegionProposals {
     fn name(&self) -> String {
         "embedded".into()
     }
@@ -55,7 +53,7 @@ fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
     let mut grid = Grid::new(frame, SIDE);
     let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
-    let flat = patches::patches(&grid, &background);
+    let flat = patches::flat_patches(&grid, &background);
     let mut proposals = Vec::new();
     for color in COLOR_WEIGHTS {
         proposals.extend(candidates(&grid, &solid, color, &hierarchy::STRATEGIES, 1.0));

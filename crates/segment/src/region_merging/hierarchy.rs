@@ -71,7 +71,7 @@ const LAST_COST: f32 = 3.0;
 /// A set of regions.
 #[derive(Clone, Debug)]
 pub struct Node {
-    pub members: Members,
+    pub members: RegionSet,
     pub cells: f32,
     /// Costs at which it came to be and was merged into its parent; a whole component of the foreground is never
     /// merged.
@@ -83,9 +83,9 @@ pub struct Node {
 
 /// Bit set of region indices.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Members(Vec<u64>);
+pub struct RegionSet(Vec<u64>);
 
-impl Members {
+impl RegionSet {
     pub fn one(index: usize, count: usize) -> Self {
         let mut bits = vec![0u64; count.div_ceil(64)];
         bits[index / 64] |= 1 << (index % 64);
@@ -127,7 +127,7 @@ pub fn merge_tree(regions: &[Region], boundaries: &Boundaries, strategy: &Strate
         .iter()
         .enumerate()
         .map(|(index, region)| Node {
-            members: Members::one(index, regions.len()),
+            members: RegionSet::one(index, regions.len()),
             cells: region.cells,
             birth: 0.0,
             death: LAST_COST,

@@ -23,7 +23,7 @@ pub(super) enum Place {
 pub(super) type Wall = (Vector3<f32>, [f32; 3]);
 
 /// Directions that cameras look from.
-pub(super) struct Views {
+pub(super) struct ViewZone {
     /// Middle and half width, radians.
     pub azimuth: [f32; 2],
     pub elevation_deg: [f32; 2],
@@ -82,17 +82,17 @@ impl Place {
         }
     }
 
-    pub fn views(&self, elevation_deg: [f32; 2]) -> Views {
+    pub fn views(&self, elevation_deg: [f32; 2]) -> ViewZone {
         let [low, high] = elevation_deg;
         let around = [0.0, std::f32::consts::PI];
         match *self {
-            Place::Table => Views { azimuth: around, elevation_deg, lowest: 0.05, front: None },
+            Place::Table => ViewZone { azimuth: around, elevation_deg, lowest: 0.05, front: None },
             // Steep enough to see the floor.
             Place::Bin { height, .. } => {
                 let elevation_deg = [low.max(42.0), high.max(60.0)];
-                Views { azimuth: around, elevation_deg, lowest: height + 0.1, front: None }
+                ViewZone { azimuth: around, elevation_deg, lowest: height + 0.1, front: None }
             }
-            Place::Shelf { half, .. } => Views {
+            Place::Shelf { half, .. } => ViewZone {
                 azimuth: [-FRAC_PI_2, 0.7],
                 elevation_deg: [low.min(5.0), high.min(38.0)],
                 lowest: 0.05,

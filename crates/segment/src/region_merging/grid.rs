@@ -4,6 +4,8 @@ use image::imageops;
 use rayon::prelude::*;
 use unopose_core::{frame::RgbdFrame, geometry::Intrinsics};
 
+use crate::lab::lab;
+
 /// Half side of the window of a normal, cells.
 const NORMAL_REACH: i64 = 3;
 /// Fewest measured cells of a window.
@@ -181,20 +183,6 @@ impl Grid {
     }
 }
 
-/// sRGB (D65) to CIE L*a*b*.
-pub fn lab(rgb: [u8; 3]) -> [f32; 3] {
-    let linear = rgb.map(|v| {
-        let v = f32::from(v) / 255.0;
-        if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-    });
-    let [r, g, b] = linear;
-    let x = (0.4124 * r + 0.3576 * g + 0.1805 * b) / 0.9505;
-    let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-    let z = (0.0193 * r + 0.1192 * g + 0.9505 * b) / 1.089;
-    let [x, y, z] = [x, y, z].map(|t| if t > 0.008_856 { t.cbrt() } else { 7.787 * t + 16.0 / 116.0 });
-    [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
-}
-
 /// Scalar product.
 pub fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -215,19 +203,6 @@ mod tests {
     use unopose_core::frame::DepthMap;
 
     use super::*;
-
-    #[test]
-    fn lab_of_known_colours() {
-        // CIE values of the sRGB primaries.
-        for (rgb, expected) in [
-            ([255, 255, 255], [100.0, 0.0, 0.0]),
-            ([255, 0, 0], [53.24, 80.09, 67.20]),
-            ([0, 0, 255], [32.30, 79.19, -107.86]),
-        ] {
-            let got = lab(rgb);
-            assert!(got.iter().zip(expected).all(|(g, e): (&f32, f32)| (g - e).abs() < 0.2), "{got:?}");
-        }
-    }
 
     #[test]
     fn normals_of_a_tilted_plane() {

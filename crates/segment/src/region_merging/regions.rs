@@ -61,7 +61,7 @@ pub fn regions(grid: &Grid, foreground: &[bool], color: f32) -> (Vec<u32>, usize
         }
     }
     edges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
-    let mut sets = Sets::new(grid.len());
+    let mut sets = DisjointSets::new(grid.len());
     for &(weight, a, b) in &edges {
         let (a, b) = (sets.root(a), sets.root(b));
         if a != b && weight <= sets.limit(a).min(sets.limit(b)) {
@@ -89,13 +89,13 @@ pub fn regions(grid: &Grid, foreground: &[bool], color: f32) -> (Vec<u32>, usize
 }
 
 /// Disjoint sets with the largest weight inside each.
-struct Sets {
+struct DisjointSets {
     parent: Vec<u32>,
     size: Vec<u32>,
     inside: Vec<f32>,
 }
 
-impl Sets {
+impl DisjointSets {
     fn new(count: usize) -> Self {
         Self { parent: (0..count as u32).collect(), size: vec![1; count], inside: vec![0.0; count] }
     }

@@ -12,7 +12,7 @@ use super::random::Draw;
 const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 
 /// An 8-bit picture of the rendering and the luminance (sRGB-coded, 0..1) that the depth sensor reacts to.
-pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8Rng) -> (RgbImage, Vec<f32>) {
+pub(super) fn capture(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8Rng) -> (RgbImage, Vec<f32>) {
     let (w, h) = (view.depth.width as usize, view.depth.height as usize);
     let enabled = if config.enabled { 1.0 } else { 0.0 };
     let scale = w as f32 / 640.0;
@@ -24,7 +24,7 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
     let blur = enabled * scale * rng.between(0.0, config.blur);
     let limit = enabled * scale * config.misalignment;
     let shift = [rng.between(-limit, limit), rng.between(-limit, limit)];
-    let finish = Finishing::draw(config, enabled, rng);
+    let processing = ColorProcessing::draw(config, enabled, rng);
     let mut linear: Vec<[f32; 3]> = view.radiance.clone();
     for (i, pixel) in linear.iter_mut().enumerate() {
         let (x, y) = ((i % w) as f32 / w as f32 - 0.5, (i / w) as f32 / h as f32 - 0.5);
@@ -36,18 +36,18 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
     }
     let mut luminance = Vec::with_capacity(w * h);
     for pixel in &mut linear {
-        let toned = pixel.map(|c| finish.tone.at(c));
+        let toned = pixel.map(|c| processing.tone.at(c));
         let grey = luma(&toned);
         let coded = toned.map(|c| {
-            let value = (grey + (c - grey) * finish.saturation).max(0.0);
+            let value = (grey + (c - grey) * processing.saturation).max(0.0);
             // Shot noise in the lights, read noise in the shadows.
-            value + finish.noise * (0.5 + value.sqrt()) * rng.normal()
+            value + processing.noise * (0.5 + value.sqrt()) * rng.normal()
         });
         luminance.push(luma(&coded));
-        *pixel = coded.map(|c| finish.pivot + (c - finish.pivot) * finish.contrast);
+        *pixel = coded.map(|c| processing.pivot + (c - processing.pivot) * processing.contrast);
     }
-    if finish.sharpening > 0.0 {
-        sharpen(&mut linear, w, finish.sharpening);
+    if processing.sharpening > 0.0 {
+        sharpen(&mut linear, w, processing.sharpening);
     }
     let bytes = linear.iter().flat_map(|p| p.map(|c| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)).collect();
     let picture = RgbImage::from_raw(w as u32, h as u32, bytes);
@@ -55,9 +55,9 @@ pub(super) fn develop(view: &Rendering, config: &SensorConfig, rng: &mut ChaCha8
 }
 
 /// What the camera's electronics make of the light.
-struct Finishing {
+struct ColorProcessing {
     /// sRGB coding and gamma.
-    tone: Curve,
+    tone: ToneCurve,
     saturation: f32,
     /// Standard deviation at mid grey.
     noise: f32,
@@ -68,7 +68,7 @@ struct Finishing {
     sharpening: f32,
 }
 
-impl Finishing {
+impl ColorProcessing {
     fn draw(config: &SensorConfig, enabled: f32, rng: &mut ChaCha8Rng) -> Self {
         let mut around_one = || 1.0 + enabled * rng.between(-config.tone, config.tone);
         let (gamma, saturation) = (around_one(), around_one());
@@ -78,7 +78,7 @@ impl Finishing {
         let noise = enabled * config.color_noise * rng.log_between(0.3, 3.0) / 255.0;
         let sharpening = if rng.chance(0.4) { enabled * rng.between(0.0, 1.2) } else { 0.0 };
         Self {
-            tone: Curve::new(|c| linear_to_srgb(c).powf(gamma)),
+            tone: ToneCurve::new(|c| linear_to_srgb(c).powf(gamma)),
             saturation: saturation * vivid,
             noise,
             contrast: 1.0 + enabled * config.tone * strength,
@@ -89,9 +89,9 @@ impl Finishing {
 }
 
 /// A function of 0..1 from a table that is fine near 0.
-struct Curve(Vec<f32>);
+struct ToneCurve(Vec<f32>);
 
-impl Curve {
+impl ToneCurve {
     const STEPS: usize = 1024;
 
     fn new(of: impl Fn(f32) -> f32) -> Self {
@@ -113,7 +113,7 @@ fn luma(c: &[f32; 3]) -> f32 {
 
 /// Gain that brings the mean of the sRGB-coded luminance to `target`.
 fn exposure_for(radiance: &[[f32; 3]], target: f32) -> f32 {
-    let coding = Curve::new(linear_to_srgb);
+    let coding = ToneCurve::new(linear_to_srgb);
     let sample: Vec<f32> = radiance.iter().step_by(7).map(|c| 0.3 * c[0] + 0.6 * c[1] + 0.1 * c[2]).collect();
     let mean =
         |gain: f32| sample.iter().map(|y| coding.at(gain * y)).sum::<f32>() / sample.len().max(1) as f32;
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn the_table_follows_the_curve() {
-        let curve = Curve::new(|c| linear_to_srgb(c).powf(1.15));
+        let curve = ToneCurve::new(|c| linear_to_srgb(c).powf(1.15));
         for i in 0..=10_000 {
             let c = i as f32 / 10_000.0;
             assert!((curve.at(c) - linear_to_srgb(c).powf(1.15)).abs() < 1e-3, "at {c}");

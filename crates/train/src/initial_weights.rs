@@ -1,12 +1,12 @@
-//! What a new run begins with.
+//! The weights that a new run starts from.
 
 use unopose_core::config::{ColorConfig, Config, VitConfig};
 use unopose_nn::{checkpoint, model::UnoPose};
 
 use super::{TrainError, options::TrainOptions};
 
-/// The weights that a new run begins with, where they are not random: those of `options.init`, else the backbone's.
-pub(super) fn weights(
+/// The weights that a new run starts from, unless they are random: those of `options.init`, else the backbone's.
+pub(super) fn load(
     config: &Config,
     options: &TrainOptions,
     random: &UnoPose,

@@ -1,5 +1,7 @@
 //! Trains UNOPose: `unotrain --config configs/geo.toml`.
 
+mod progress;
+
 use std::{
     path::{Path, PathBuf},
     process::ExitCode,
@@ -12,10 +14,12 @@ use clap::Parser;
 use unopose_core::{config::Config, explain};
 use unopose_eval::report::Table;
 use unopose_nn::device::{DeviceChoice, keep_freed_memory};
-use unopose_train::{Ending, Interrupt, TrainOptions, TrainOutcome, train};
+use unopose_train::{Interrupt, StopReason, TrainOptions, TrainOutcome, train};
 
-/// Train UNOPose. Without data it generates its synthetic training and validation sets first; an interrupted run goes
-/// on where it stopped.
+use progress::ProgressBars;
+
+/// Train UNOPose. Without data it generates its synthetic training and validation sets first; an interrupted run
+/// resumes.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -37,7 +41,7 @@ struct Arguments {
     /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Go on with the run in the folder (the default).
+    /// Resume the run in the folder (the default).
     #[arg(long, conflicts_with = "fresh")]
     resume: bool,
     /// Delete an earlier run in the folder.
@@ -102,6 +106,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         stop_at: arguments.stop_at,
         device,
         interrupt,
+        observer: Arc::new(ProgressBars::default()),
     };
     let outcome = train(&config, &options)?;
     print_summary(&outcome, &config, &out);
@@ -120,11 +125,12 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
     let step = outcome.step;
     println!(
         "{}",
-        match outcome.ending {
-            Ending::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
-            Ending::Finished => format!("finished: {step} steps"),
-            Ending::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
-            Ending::Interrupted => format!("interrupted after {step} of {} steps, saved", config.train.steps),
+        match outcome.stop_reason {
+            StopReason::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
+            StopReason::Finished => format!("finished: {step} steps"),
+            StopReason::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
+            StopReason::Interrupted =>
+                format!("interrupted after {step} of {} steps, saved", config.train.steps),
         }
     );
     let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);

@@ -9,9 +9,9 @@ use super::pillow::resized;
 const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
 const STANDARD_DEVIATION: [f32; 3] = [58.395, 57.12, 57.375];
 
-/// Sizes of an image and of what the network sees of it.
+/// How an image becomes the network's square input: resized until its longest side is that of the input, then padded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct InputFrame {
+pub struct ResizeLongestSide {
     /// Width and height of the image.
     pub image: [u32; 2],
     /// Width and height in the padded input.
@@ -20,7 +20,7 @@ pub struct InputFrame {
     pub side: u32,
 }
 
-impl InputFrame {
+impl ResizeLongestSide {
     /// An image of `width x height` pixels for inputs of `side` pixels.
     pub fn new(width: u32, height: u32, side: u32) -> Self {
         let scale = f64::from(side) / f64::from(width.max(height).max(1));
@@ -59,14 +59,15 @@ mod tests {
 
     #[test]
     fn the_longest_side_fills_the_input() {
-        let frame = InputFrame::new(640, 426, 1024);
+        let resize = ResizeLongestSide::new(640, 426, 1024);
         // 426 * 1.6 = 681.6.
-        assert_eq!(frame.resized, [1024, 682]);
-        assert_eq!(frame.point([320.0, 426.0]), [512.0, 682.0]);
-        assert_eq!(InputFrame::new(1, 5000, 1024).resized, [1, 1024]);
+        assert_eq!(resize.resized, [1024, 682]);
+        assert_eq!(resize.point([320.0, 426.0]), [512.0, 682.0]);
+        assert_eq!(ResizeLongestSide::new(1, 5000, 1024).resized, [1, 1024]);
         let image = RgbImage::from_pixel(4, 2, image::Rgb([255, 0, 104]));
         let device = Device::default();
-        let values = InputFrame::new(4, 2, 8).tensor(&image, &device).to_data().try_to_vec::<f32>().unwrap();
+        let values =
+            ResizeLongestSide::new(4, 2, 8).tensor(&image, &device).to_data().try_to_vec::<f32>().unwrap();
         // Rows 0..4 hold the image, rows 4..8 are padding.
         assert!((values[0] - (255.0 - 123.675) / 58.395).abs() < 1e-6);
         assert!((values[64 + 31] + 116.28 / 57.12).abs() < 1e-6);

@@ -12,7 +12,7 @@ const PLANE_SHARE: f32 = 0.05;
 const DIFFERENCE: f32 = 10.0;
 
 /// Background cells in patches of another colour than that of the plane.
-pub fn patches(grid: &Grid, background: &[bool]) -> Vec<bool> {
+pub fn flat_patches(grid: &Grid, background: &[bool]) -> Vec<bool> {
     let (labels, count) = regions(grid, background, 1.0);
     let (found, _) = partition(grid, &labels, count);
     let limit = PLANE_SHARE * grid.len() as f32;

@@ -13,7 +13,7 @@ use super::TrainError;
 
 /// Writes every array of the samples to `bad-batch-<step>.safetensors`; the metadata hold the pairs' keys, poses and
 /// loss terms.
-pub fn save_batch(
+pub fn save(
     run: &Path,
     step: u64,
     samples: &[TrainSample],
