@@ -1,14 +1,15 @@
 //! Networks with and without the paper's ingredients.
 
-use std::{fmt::Write as _, io::Write as _, path::Path};
+use std::{io::Write as _, path::Path};
 
 use unopose_core::files::write_atomic;
 use unopose_eval::eval::{Evaluation, paired_difference};
 
 use super::{
     BenchError, Comparison, MethodRun, Switches,
+    cells::{percent, span},
     published::published_ablation,
-    tables::{percent, span},
+    section::Section,
 };
 
 /// Names of the ingredients.
@@ -38,25 +39,17 @@ fn markdown(
     }
     let networks: Vec<(usize, Switches)> =
         switches.iter().enumerate().filter_map(|(i, s)| Some((i, (*s)?))).collect();
-    let marks =
+    let has =
         |switches: &Switches| -> Vec<bool> { ingredients.iter().map(|name| switches.has(name)).collect() };
-    let richness = |switches: &Switches| marks(switches).iter().filter(|&&has| has).count();
+    let richness = |switches: &Switches| has(switches).iter().filter(|&&has| has).count();
     // The first of equals.
     let full = networks.iter().rev().max_by_key(|(_, switches)| richness(switches));
     let Some(&(full, _)) = full else { return Err(BenchError::NoNetwork) };
-    let row = |name: &str, marks: &[bool], values: &[String]| {
-        let marks: Vec<&str> = marks.iter().map(|&has| if has { "yes" } else { "no" }).collect();
-        format!("| {name} | {} | {} |\n", marks.join(" | "), values.join(" | "))
+    let row = |name: &str, switches: &Switches, values: &[String]| -> Vec<String> {
+        let marks = has(switches).into_iter().map(|has| if has { "yes" } else { "no" }.to_owned());
+        std::iter::once(name.to_owned()).chain(marks).chain(values.iter().cloned()).collect()
     };
-    let mut text = format!("# Ablation on {} ({} targets)\n\n", comparison.dataset, comparison.targets);
-    let _ = writeln!(
-        text,
-        "| network | {} | AR | 95 % interval | VSD | MSSD | MSPD | difference to {} | 95 % interval |\n{}",
-        ingredients.join(" | "),
-        runs[full].0.name,
-        "|--".repeat(8 + ingredients.len()) + "|"
-    );
-    for (index, switches) in &networks {
+    let ours = networks.iter().map(|(index, switches)| {
         let (method, targets) = (&comparison.methods[*index], &runs[*index].1.targets);
         let difference =
             paired_difference(targets, &runs[full].1.targets, comparison.resamples, comparison.seed);
@@ -70,23 +63,26 @@ fn markdown(
             percent(difference.value),
             span(&difference),
         ];
-        text += &row(&method.name, &marks(switches), &values);
-    }
+        row(&method.name, switches, &values)
+    });
+    let columns = |first: &str, scores: &[&str]| -> Vec<String> {
+        let scores = scores.iter().map(|&score| score.to_owned());
+        std::iter::once(first.to_owned()).chain(ingredients.iter().cloned()).chain(scores).collect()
+    };
+    let difference = format!("difference to {}", runs[full].0.name);
+    let scores = ["AR", "95 % interval", "VSD", "MSSD", "MSPD", &difference, "95 % interval"];
+    let ours = Section::table(columns("network", &scores), ours);
     let published = published_ablation(&comparison.dataset);
-    if !published.is_empty() {
-        let _ = writeln!(
-            text,
-            "\nPublished (tables \"Ablation of GRF and LRF\" and \"of overlap predictor\"):\n\n\
-             | row | {} | AR | VSD | MSSD | MSPD |\n{}",
-            ingredients.join(" | "),
-            "|--".repeat(5 + ingredients.len()) + "|"
-        );
-        for published in published {
+    let theirs = (!published.is_empty()).then(|| {
+        let rows = published.iter().map(|published| {
             let [vsd, mssd, mspd, ar] = published.scores.map(|score| format!("{score:.1}"));
-            text += &row(published.row, &marks(&published.switches), &[ar, vsd, mssd, mspd]);
-        }
-    }
-    Ok(text)
+            row(published.row, &published.switches, &[ar, vsd, mssd, mspd])
+        });
+        Section::table(columns("row", &["AR", "VSD", "MSSD", "MSPD"]), rows)
+            .titled("Published (tables \"Ablation of GRF and LRF\" and \"of overlap predictor\"):")
+    });
+    let heading = format!("Ablation on {} ({} targets)", comparison.dataset, comparison.targets);
+    Ok(Section::markdown(&heading, std::iter::once(ours).chain(theirs)))
 }
 
 impl Switches {

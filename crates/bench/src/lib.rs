@@ -8,7 +8,9 @@
 
 mod ablation;
 pub mod analysis;
+mod cells;
 mod comparison;
+mod comparison_sections;
 mod error;
 mod examples;
 mod facts;
@@ -19,10 +21,11 @@ mod page;
 mod published;
 mod records;
 mod rendered;
+mod report;
 mod run;
+mod section;
 mod sequence;
 mod suite;
-mod tables;
 pub mod verify;
 
 pub use ablation::INGREDIENTS;
@@ -38,10 +41,10 @@ pub use published::{
 };
 pub use records::{PairKey, PairOutcome, PairRecord, Records};
 pub use rendered::render_references;
+pub use report::write_report;
 pub use run::{MethodRun, run_method};
 pub use sequence::{FrameError, SequenceRun, markdown as sequence_table, run_sequence};
 pub use suite::{Method, Suite};
-pub use tables::write_report;
 
 #[cfg(test)]
 mod tests;

@@ -1,26 +1,14 @@
 //! Our own segmentation as rows of a table, one per source of proposals.
 
-use std::{
-    io::Write as _,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 use serde::Serialize;
-use unopose_core::files::{FileError, write_atomic};
 use unopose_eval::eval::SegmentationScores;
 
-use super::tables::{percent, seconds};
-
-pub(super) const COLUMNS: [&str; 8] = [
-    "proposals",
-    "matcher",
-    "mAP",
-    "AP50",
-    "recall at 0.5",
-    "recall at 0.75",
-    "proposals per image",
-    "s per image",
-];
+use super::{
+    cells::{percent, seconds},
+    section::Section,
+};
 
 /// Masks found by [`unopose_segment::segment`] with one source of proposals.
 #[derive(Clone, Debug, Serialize)]
@@ -35,13 +23,22 @@ pub struct OwnMasks {
     pub detections: PathBuf,
 }
 
-impl OwnMasks {
-    /// In the order of [`COLUMNS`].
-    pub(super) fn cells(&self) -> Vec<String> {
-        let s = &self.scores;
+/// Accuracy and time, rounded.
+pub(crate) fn section(masks: &[OwnMasks]) -> Section {
+    let columns = [
+        "proposals",
+        "matcher",
+        "mAP",
+        "AP50",
+        "recall at 0.5",
+        "recall at 0.75",
+        "proposals per image",
+        "s per image",
+    ];
+    let row = |OwnMasks { proposals, matcher, scores: s, .. }: &OwnMasks| {
         vec![
-            self.proposals.clone(),
-            self.matcher.clone(),
+            proposals.clone(),
+            matcher.clone(),
             percent(s.map),
             percent(s.detections.ap50),
             percent(s.recall50),
@@ -49,27 +46,37 @@ impl OwnMasks {
             format!("{:.1}", s.proposals_per_image),
             seconds(s.mean_time_per_image_s),
         ]
-    }
+    };
+    Section::table(columns, masks.iter().map(row))
 }
 
-pub(super) fn write_csv(rows: &[OwnMasks], path: &Path) -> Result<(), FileError> {
-    write_atomic(path, |out| {
-        let header = "proposals,matcher,map,ap50,recall50,recall75,targets,proposals_per_image,seconds_per_image,\
-             proposal_seconds_per_image";
-        writeln!(out, "{header}")?;
-        rows.iter().try_for_each(|OwnMasks { proposals, matcher, scores: s, .. }| {
-            writeln!(
-                out,
-                "{proposals},{matcher},{:.6},{:.6},{:.6},{:.6},{},{:.2},{:.4},{:.4}",
-                s.map,
-                s.detections.ap50,
-                s.recall50,
-                s.recall75,
-                s.n_targets,
-                s.proposals_per_image,
-                s.mean_time_per_image_s,
-                s.mean_proposal_time_per_image_s
-            )
-        })
-    })
+/// Accuracy and time, unrounded.
+pub(crate) fn csv(masks: &[OwnMasks]) -> Section {
+    let columns = [
+        "proposals",
+        "matcher",
+        "map",
+        "ap50",
+        "recall50",
+        "recall75",
+        "targets",
+        "proposals_per_image",
+        "seconds_per_image",
+        "proposal_seconds_per_image",
+    ];
+    let row = |OwnMasks { proposals, matcher, scores: s, .. }: &OwnMasks| {
+        vec![
+            proposals.clone(),
+            matcher.clone(),
+            format!("{:.6}", s.map),
+            format!("{:.6}", s.detections.ap50),
+            format!("{:.6}", s.recall50),
+            format!("{:.6}", s.recall75),
+            s.n_targets.to_string(),
+            format!("{:.2}", s.proposals_per_image),
+            format!("{:.4}", s.mean_time_per_image_s),
+            format!("{:.4}", s.mean_proposal_time_per_image_s),
+        ]
+    };
+    Section::table(columns, masks.iter().map(row))
 }

@@ -1,18 +1,14 @@
 //! One method on all targets.
 
-use std::{
-    collections::{BTreeMap, HashMap, VecDeque},
-    path::Path,
-    sync::Arc,
-};
+use std::{collections::HashMap, path::Path, sync::Arc};
 
 use unopose_core::{
     frame::{Mask, MaskedView, RgbdFrame},
     geometry::Pose,
 };
 use unopose_dataset::{
-    formats::{BopSplit, FormatError, PoseResult, ReferenceTarget, detections::Detection},
-    protocol::{Rejection, TargetList, TargetPoses, next_detections},
+    formats::{BopSplit, FormatError, ReferenceTarget, detections::Detection},
+    protocol::{ImagePoses, NO_DETECTION, ObjectTargets, TargetList, TargetPoses, best_outcome},
 };
 use unopose_pairs::registration::{PairEstimator, PairPose, Refined, Refinement, RegistrationError};
 
@@ -62,41 +58,22 @@ pub fn run_method(
         records: records(method)?,
         unrefined: (method.refinement != Refinement::None).then(|| records(&unrefined)).transpose()?,
         frames: HashMap::new(),
-        made: MethodRun {
-            name: method.name(),
-            poses: TargetPoses::default(),
-            computed: 0,
-            relative: Vec::new(),
-        },
+        computed: 0,
+        relative: Vec::new(),
     };
-    let mut detections: HashMap<(u32, u32, u32), Vec<&Detection>> = HashMap::new();
-    for detection in &list.detections {
-        let key = (detection.scene_id, detection.image_id, detection.category_id);
-        detections.entry(key).or_default().push(detection);
-    }
-    let mut images: BTreeMap<(u32, u32), BTreeMap<u32, Vec<&ReferenceTarget>>> = BTreeMap::new();
-    for target in &list.targets {
-        let objects = images.entry((target.scene_id, target.im_id)).or_default();
-        objects.entry(target.obj_id).or_default().push(target);
-    }
-    for (done, ((scene_id, im_id), objects)) in images.iter().enumerate() {
-        progress(done, images.len());
-        let (first, before) = (run.made.poses.results.len(), run.made.poses.seconds);
-        for (obj_id, references) in objects {
-            let mut detections = detections.remove(&(*scene_id, *im_id, *obj_id)).unwrap_or_default();
-            // The stable sort keeps the file's order among equal scores.
-            detections.sort_by(|a, b| b.score.total_cmp(&a.score));
-            run.object(references, detections.into())?;
+    let (mut poses, images) = (TargetPoses::default(), list.images());
+    let total = images.len();
+    for (done, image) in images.into_iter().enumerate() {
+        progress(done, total);
+        let mut made = ImagePoses::new(&mut poses, &image);
+        for object in image.objects {
+            run.object(object, &mut made)?;
         }
-        let seconds = run.made.poses.seconds - before;
-        // Every line of an image repeats the time of the whole image.
-        let results = &mut run.made.poses.results[first..];
-        let known = results.iter().all(|r| r.time >= 0.0);
-        let detection_time = results.iter().map(|r| r.time).fold(0.0, f64::max);
-        results.iter_mut().for_each(|r| r.time = if known { detection_time + seconds } else { -1.0 });
+        made.finish();
     }
-    progress(images.len(), images.len());
-    Ok(run.made)
+    progress(total, total);
+    let Run { computed, relative, .. } = run;
+    Ok(MethodRun { name: method.name(), poses, computed, relative })
 }
 
 struct Run<'a> {
@@ -106,64 +83,59 @@ struct Run<'a> {
     /// Those of the method without its refinement.
     unrefined: Option<Records>,
     frames: HashMap<(bool, u32, u32), Arc<RgbdFrame>>,
-    made: MethodRun,
+    computed: usize,
+    relative: Vec<(ReferenceTarget, Pose)>,
 }
 
 impl Run<'_> {
     /// Poses of an object of an image: of its confident detections, or of the best of the others that has one.
-    fn object(
-        &mut self,
-        references: &[&ReferenceTarget],
-        mut detections: VecDeque<&Detection>,
-    ) -> Result<(), BenchError> {
-        if detections.is_empty() {
-            references.iter().take(1).for_each(|target| self.reject(target, "no detection".into()));
+    fn object(&mut self, mut object: ObjectTargets<'_>, made: &mut ImagePoses<'_>) -> Result<(), BenchError> {
+        if !object.has_detections() {
+            made.reject(object.obj_id, NO_DETECTION);
         }
-        let mut posed = false;
-        while !posed && !detections.is_empty() {
-            for detection in next_detections(&mut detections) {
-                posed |= self.detection(references, detection)?;
+        loop {
+            let detections = object.next_detections();
+            if detections.is_empty() {
+                return Ok(());
+            }
+            for detection in detections {
+                object.posed |= self.detection(&object.references, detection, made)?;
             }
         }
-        Ok(())
     }
 
+    /// Whether the detection has a pose with one of the references.
     fn detection(
         &mut self,
         references: &[&ReferenceTarget],
         detection: &Detection,
+        made: &mut ImagePoses<'_>,
     ) -> Result<bool, BenchError> {
-        let (mut best, mut reason): (Option<(f64, Pose, &ReferenceTarget)>, _) = (None, None);
-        for target in references {
-            match self.pair(target, detection)? {
+        let mut outcomes = Vec::with_capacity(references.len());
+        for &target in references {
+            outcomes.push(match self.pair(target, detection)? {
                 PairOutcome::Posed { t_query_reference, score, seconds } => {
-                    self.made.poses.pairs += 1;
-                    self.made.poses.seconds += seconds;
-                    if best.is_none_or(|b| score > b.0) {
-                        best = Some((score, t_query_reference, target));
-                    }
+                    made.add_pairs(1);
+                    made.add_seconds(seconds);
+                    Ok((score, (target, t_query_reference)))
                 }
-                PairOutcome::Rejected { reason: why } => reason = Some((*target, why)),
-            }
+                PairOutcome::Rejected { reason } => Err(reason),
+            });
         }
-        let Some((score, t_query_reference, target)) = best else {
-            if let Some((target, reason)) = reason {
-                self.reject(target, reason);
+        match best_outcome(outcomes) {
+            Some(Ok((score, (target, t_query_reference)))) => {
+                let scene = self.list.reference_split().scene(target.ref_scene_id)?;
+                let (_, t_reference_object) = scene.most_visible(target.ref_im_id, target.obj_id)?;
+                made.add_pose(detection, score, t_query_reference * t_reference_object);
+                self.relative.push((target.clone(), t_query_reference));
+                Ok(true)
             }
-            return Ok(false);
-        };
-        let scene = self.list.reference_split().scene(target.ref_scene_id)?;
-        let (_, t_reference_object) = scene.most_visible(target.ref_im_id, target.obj_id)?;
-        self.made.poses.results.push(PoseResult {
-            scene_id: target.scene_id,
-            im_id: target.im_id,
-            obj_id: target.obj_id,
-            score: score * detection.score,
-            t_camera_object: t_query_reference * t_reference_object,
-            time: detection.time,
-        });
-        self.made.relative.push((target.clone(), t_query_reference));
-        Ok(true)
+            Some(Err(reason)) => {
+                made.reject(detection.category_id, reason);
+                Ok(false)
+            }
+            None => Ok(false),
+        }
     }
 
     /// From the records, or estimated now.
@@ -182,7 +154,7 @@ impl Run<'_> {
                 self.estimate(&key, query, reference)?
             }
         };
-        self.made.computed += 1;
+        self.computed += 1;
         self.records.add(key, outcome.clone())?;
         Ok(outcome)
     }
@@ -238,11 +210,6 @@ impl Run<'_> {
         let frame = Arc::new(split.scene(scene_id)?.frame(im_id)?);
         self.frames.insert(key, frame.clone());
         Ok(frame)
-    }
-
-    fn reject(&mut self, target: &ReferenceTarget, reason: String) {
-        let ReferenceTarget { scene_id, im_id, obj_id, .. } = *target;
-        self.made.poses.rejections.push(Rejection { scene_id, im_id, obj_id, reason });
     }
 }
 

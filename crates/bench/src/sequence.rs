@@ -1,6 +1,6 @@
 //! Methods on a phone sequence: one frame is the reference, the others are queries, and the camera poses tell the truth.
 
-use std::{fmt::Write as _, io::Write as _, path::Path};
+use std::{io::Write as _, path::Path};
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -8,7 +8,12 @@ use unopose_core::{files::write_atomic, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::{FormatError, PhoneSequence, files::write_json};
 use unopose_pairs::registration::{PairEstimator, Refined, Refinement};
 
-use super::{BenchError, suite::Method};
+use super::{
+    BenchError,
+    cells::{percent, seconds},
+    section::Section,
+    suite::Method,
+};
 
 /// Errors of one query frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -127,20 +132,22 @@ fn mean(points: &[[f32; 3]]) -> Vector3<f64> {
     sum / points.len().max(1) as f64
 }
 
-/// The table of all methods.
+/// The table of all methods, as Markdown.
 pub fn markdown(name: &str, reference: u32, runs: &[SequenceRun]) -> String {
     let frames = runs.first().map_or(0, |run| run.frames.len());
-    let mut text = format!("# {name} ({frames} frames, reference {reference})\n\n");
-    text += "| method | angular error | Acc15 | Acc30 | 5 deg 5 cm | s per pair | frames without a pose |\n";
-    text += "|--|--|--|--|--|--|--|\n";
-    for run in runs {
-        let [acc15, acc30, both] = [run.acc15, run.acc30, run.within_5deg_5cm].map(super::tables::percent);
-        let seconds = super::tables::seconds(run.mean_time_per_pair_s);
-        let SequenceRun { method, angular_error_deg, without_pose, .. } = run;
-        let _ = writeln!(
-            text,
-            "| {method} | {angular_error_deg:.1} | {acc15} | {acc30} | {both} | {seconds} | {without_pose} |"
-        );
-    }
-    text
+    let columns =
+        ["method", "angular error", "Acc15", "Acc30", "5 deg 5 cm", "s per pair", "frames without a pose"];
+    let row = |run: &SequenceRun| {
+        vec![
+            run.method.clone(),
+            format!("{:.1}", run.angular_error_deg),
+            percent(run.acc15),
+            percent(run.acc30),
+            percent(run.within_5deg_5cm),
+            seconds(run.mean_time_per_pair_s),
+            run.without_pose.to_string(),
+        ]
+    };
+    let heading = format!("{name} ({frames} frames, reference {reference})");
+    Section::markdown(&heading, [Section::table(columns, runs.iter().map(row))])
 }

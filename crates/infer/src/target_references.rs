@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use unopose_core::geometry::Pose;
-use unopose_dataset::formats::BopSplit;
+use unopose_dataset::formats::{BopSplit, ReferenceTarget};
 
 use super::{
     InferError, PoseEstimator, Reference,
@@ -16,7 +16,7 @@ use super::{
 const CACHE_BYTES: usize = 1 << 30;
 
 /// The object of a reference view: scene, image, object.
-pub type ReferenceKey = (u32, u32, u32);
+type ReferenceKey = (u32, u32, u32);
 
 /// Reference views, made on demand.
 pub struct TargetReferences<'a> {
@@ -41,9 +41,10 @@ impl<'a> TargetReferences<'a> {
         Self { estimator, split, color, cache, unusable: BTreeMap::new(), made: 0, seconds: 0.0 }
     }
 
-    /// The most visible instance of the object in the image. The inner error is about the view's content; absent
+    /// The most visible instance of the target's object in its reference view. The inner error is about the view's content; absent
     /// files and annotations are the outer one.
-    pub fn get(&mut self, key: ReferenceKey) -> Result<Result<PosedReference, String>, InferError> {
+    pub fn get(&mut self, target: &ReferenceTarget) -> Result<Result<PosedReference, String>, InferError> {
+        let key = (target.ref_scene_id, target.ref_im_id, target.obj_id);
         let (scene_id, im_id, obj_id) = key;
         if let Some(reason) = self.unusable.get(&key) {
             return Ok(Err(reason.clone()));

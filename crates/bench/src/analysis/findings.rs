@@ -1,12 +1,13 @@
 //! Analysed pairs as tables.
 
-use std::{fmt::Write as _, io::Write as _, path::Path};
+use std::{io::Write as _, path::Path};
 
 use unopose_core::files::write_atomic;
 use unopose_dataset::formats::files::write_json;
 use unopose_eval::eval::{ROTATION_EDGES, VISIBILITY_EDGES};
 
 use super::{AnalysisError, PairRecord, Predicted, StageMeasures};
+use crate::{cells, section::Section};
 
 /// Largest rotation error of a pose that is found, degrees.
 const FOUND_DEG: f64 = 15.0;
@@ -53,19 +54,19 @@ const LOCAL_FRAMES: [Column; 4] = [
 /// Writes `pairs.json` and `findings.md` into a folder and returns the text of the latter.
 pub fn write_findings(records: &[PairRecord], title: &str, folder: &Path) -> Result<String, AnalysisError> {
     let groups = groups(records);
-    let mut text = format!(
-        "# {title}\n\n{} pairs. Rotations found within {FOUND_DEG} degrees, in percent:\n\n",
-        records.len()
-    );
-    table(&mut text, &groups, &POSES);
-    text += "\nMatches and overlaps, in percent; distances in radii of the reference:\n\n";
-    table(&mut text, &groups, &MATCHING);
-    text += "\nLocal frames of the same places in both views, median angle of the pairs' median angles, degrees:\n\n";
-    table(&mut text, &groups, &LOCAL_FRAMES);
-    if records.iter().any(|r| r.stages.refined_truth.is_some()) {
-        text += "\nRefinement by the rotation error of its start:\n\n";
-        refinement(&mut text, records);
-    }
+    let refined = records.iter().any(|r| r.stages.refined_truth.is_some());
+    let poses = format!("{} pairs. Rotations found within {FOUND_DEG} degrees, in percent:", records.len());
+    let matching = "Matches and overlaps, in percent; distances in radii of the reference:";
+    let frames =
+        "Local frames of the same places in both views, median angle of the pairs' median angles, degrees:";
+    let tables = [
+        table(&groups, &POSES).titled(poses),
+        table(&groups, &MATCHING).titled(matching),
+        table(&groups, &LOCAL_FRAMES).titled(frames),
+    ];
+    let refinement =
+        refined.then(|| refinement(records).titled("Refinement by the rotation error of its start:"));
+    let text = Section::markdown(title, tables.into_iter().chain(refinement));
     write_json(&folder.join("pairs.json"), records, false)?;
     write_atomic(&folder.join("findings.md"), |file| file.write_all(text.as_bytes()))?;
     Ok(text)
@@ -115,49 +116,47 @@ fn thirds(
     add(format!("{name} >= {high:.digits$}{unit}"), &|r| of(r) >= high);
 }
 
-fn table(text: &mut String, groups: &[Group<'_>], columns: &[Column]) {
-    let heads: Vec<&str> = columns.iter().map(|column| column.0).collect();
-    let _ = writeln!(text, "| pairs | n | {} |\n|--|--|{}", heads.join(" | "), "--|".repeat(columns.len()));
-    for Group { name, pairs } in groups {
-        let cells: Vec<String> = columns.iter().map(|column| (column.1)(pairs)).collect();
-        let _ = writeln!(text, "| {name} | {} | {} |", pairs.len(), cells.join(" | "));
-    }
+fn table(groups: &[Group<'_>], columns: &[Column]) -> Section {
+    let rows = groups.iter().map(|Group { name, pairs }| {
+        let cells = columns.iter().map(|column| (column.1)(pairs));
+        [name.clone(), pairs.len().to_string()].into_iter().chain(cells).collect()
+    });
+    Section::table(["pairs", "n"].into_iter().chain(columns.iter().map(|column| column.0)), rows)
 }
 
 /// How refinement changes rotation errors, by where it starts; the last row starts from the truth.
-fn refinement(text: &mut String, records: &[PairRecord]) {
-    let rows = [(0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0), (15.0, 180.1)];
-    let _ = writeln!(
-        text,
-        "| start | n | median before | median after | worse by over 1 degree | better by over 1 degree |\n|--|--|--|--|--|--|"
-    );
-    let mut row = |name: String, changes: Vec<(f64, f64)>| {
+fn refinement(records: &[PairRecord]) -> Section {
+    let bins = [(0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0), (15.0, 180.1)];
+    let row = |name: String, changes: Vec<(f64, f64)>| {
         let share = |hit: fn(&(f64, f64)) -> bool| {
             percent(Some(changes.iter().filter(|c| hit(c)).count() as f64 / changes.len().max(1) as f64))
         };
         let middle = |of: fn(&(f64, f64)) -> f64| number(middle(changes.iter().map(of).collect()), 2);
-        let _ = writeln!(
-            text,
-            "| {name} | {} | {} | {} | {} | {} |",
-            changes.len(),
+        vec![
+            name,
+            changes.len().to_string(),
             middle(|c| c.0),
             middle(|c| c.1),
             share(|c| c.1 > c.0 + 1.0),
-            share(|c| c.1 < c.0 - 1.0)
-        );
+            share(|c| c.1 < c.0 - 1.0),
+        ]
     };
-    for (from, to) in rows {
+    let mut rows = Vec::new();
+    for (from, to) in bins {
         let changes: Vec<(f64, f64)> = records
             .iter()
             .map(|r| (r.stages.fine.rotation_deg, r.stages.refined.rotation_deg))
             .filter(|c| c.0 >= from && c.0 < to)
             .collect();
         if !changes.is_empty() {
-            row(format!("{from:.0}-{to:.0} degrees"), changes);
+            rows.push(row(format!("{from:.0}-{to:.0} degrees"), changes));
         }
     }
     let from_truth = records.iter().filter_map(|r| Some((0.0, r.stages.refined_truth?.rotation_deg)));
-    row("the truth".into(), from_truth.collect());
+    rows.push(row("the truth".into(), from_truth.collect()));
+    let columns =
+        ["start", "n", "median before", "median after", "worse by over 1 degree", "better by over 1 degree"];
+    Section::table(columns, rows)
 }
 
 fn mean(pairs: &[&PairRecord], of: fn(&PairRecord) -> Option<f64>) -> Option<f64> {
@@ -190,7 +189,7 @@ fn middle(mut values: Vec<f64>) -> Option<f64> {
 }
 
 fn percent(share: Option<f64>) -> String {
-    share.map_or_else(|| "-".into(), |share| format!("{:.1}", 100.0 * share))
+    share.map_or_else(|| "-".into(), cells::percent)
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {

@@ -65,7 +65,7 @@ pub fn analyse(
             FormatError::field(place, "segmentation", "unreadable", error.to_string())
         })?;
         let reference_key = (target.ref_scene_id, target.ref_im_id, target.obj_id);
-        let (reference, t_reference_object) = match references.get(reference_key)? {
+        let (reference, t_reference_object) = match references.get(target)? {
             Ok(reference) => reference,
             Err(reason) => {
                 tracing::warn!("{reason}");

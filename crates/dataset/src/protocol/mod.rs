@@ -3,7 +3,8 @@
 //! [`Protocol`] names the paper's choices of a reference: at most 50 degrees away (main experiments), from another scene,
 //! up to 90 degrees in nine bins, one view for all targets of an object ("one reference for a category"), a few views per
 //! object (supplement). [`build_lists`] makes the lists of a BOP dataset, each entry with angle and overlap ratio. A draw
-//! depends on the seed, the protocol and the target alone. [`TargetList`] joins a list with its dataset and detections.
+//! depends on the seed, the protocol and the target alone. [`TargetList`] joins a list with its dataset and detections;
+//! [`ImageTargets`] and [`ImagePoses`] are the walk over it.
 
 mod build;
 mod choice;
@@ -11,14 +12,16 @@ mod error;
 mod overlap;
 mod seen;
 mod target_list;
+mod target_poses;
+mod target_walk;
 
 pub use build::{BuiltList, BuiltLists, ListInput, build_lists};
 pub use choice::Protocol;
 pub use error::ProtocolError;
 pub use overlap::SeenSurface;
-pub use target_list::{
-    MIN_DETECTION_SCORE, Rejection, TargetFiles, TargetList, TargetPoses, next_detections,
-};
+pub use target_list::{TargetFiles, TargetList};
+pub use target_poses::{ImagePoses, NO_DETECTION, Rejection, TargetPoses, best_outcome};
+pub use target_walk::{ImageTargets, MIN_DETECTION_SCORE, ObjectTargets};
 
 /// Largest angle between target and reference view of the main protocol, degrees.
 const MAIN_DEG: f64 = 50.0;
@@ -28,5 +31,7 @@ const BINS: usize = 9;
 /// Numbers of references per object of the supplement.
 pub const REFERENCE_COUNTS: [usize; 5] = [8, 12, 16, 32, 42];
 
+#[cfg(test)]
+mod target_walk_tests;
 #[cfg(test)]
 mod tests;

@@ -1,20 +1,13 @@
-//! The target list of a BOP dataset with its references and detections, and what becomes of it.
+//! The target list of a BOP dataset with its references and detections.
 
-use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
-    path::PathBuf,
-};
+use std::{collections::BTreeSet, path::PathBuf};
 
-use serde::Serialize;
-
+use super::ImageTargets;
 use crate::formats::{
-    BopDataset, BopSplit, FormatError, PoseResult, ReferenceTarget,
+    BopDataset, BopSplit, FormatError, ReferenceTarget,
     detections::{Detection, SkippedDetection, read_detections, usable_detections},
     targets::{check_reference_targets, read_reference_targets},
 };
-
-/// Detections scored above this get a pose; the best of the others when none of these does.
-pub const MIN_DETECTION_SCORE: f64 = 0.25;
 
 /// Files of [`TargetList::open`].
 #[derive(Clone, Debug)]
@@ -43,48 +36,6 @@ pub struct TargetList {
     pub detections: Vec<Detection>,
     /// Detections of the targets' images that cannot be used.
     pub skipped: Vec<SkippedDetection>,
-}
-
-/// An instance that got no pose.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Rejection {
-    pub scene_id: u32,
-    pub im_id: u32,
-    pub obj_id: u32,
-    pub reason: String,
-}
-
-/// Poses of a target list.
-#[derive(Clone, Debug, Default)]
-pub struct TargetPoses {
-    /// Score: that of the pose times that of the detection; time: the image's, -1 when a detection's is unknown.
-    pub results: Vec<PoseResult>,
-    pub rejections: Vec<Rejection>,
-    /// Instances compared with a reference.
-    pub pairs: usize,
-    /// Seconds of all pairs, references included, files excluded.
-    pub seconds: f64,
-    /// References made, and the seconds of [`Self::seconds`] that this took.
-    pub references: usize,
-    pub reference_seconds: f64,
-}
-
-impl TargetPoses {
-    /// Of a pair, its share of the references included; `None` without pairs.
-    pub fn mean_time_per_pair_s(&self) -> Option<f64> {
-        (self.pairs > 0).then(|| self.seconds / self.pairs as f64)
-    }
-
-    /// Rejections counted by reason, most frequent first.
-    pub fn reasons(&self) -> Vec<(String, usize)> {
-        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-        for rejection in &self.rejections {
-            *counts.entry(&rejection.reason).or_default() += 1;
-        }
-        let mut counts: Vec<_> = counts.into_iter().map(|(reason, n)| (reason.to_owned(), n)).collect();
-        counts.sort_by_key(|&(_, n)| std::cmp::Reverse(n));
-        counts
-    }
 }
 
 impl TargetList {
@@ -121,11 +72,9 @@ impl TargetList {
     pub fn reference_split(&self) -> &BopSplit {
         self.reference_split.as_ref().unwrap_or(&self.split)
     }
-}
 
-/// Takes the confident detections, or else the best one, from those that are left by descending score.
-pub fn next_detections<'a>(detections: &mut VecDeque<&'a Detection>) -> Vec<&'a Detection> {
-    let confident = detections.iter().take_while(|d| d.score > MIN_DETECTION_SCORE).count();
-    let count = confident.max(1).min(detections.len());
-    detections.drain(..count).collect()
+    /// The walk over the targets: images by ascending scene and image.
+    pub fn images(&self) -> Vec<ImageTargets<'_>> {
+        ImageTargets::group(&self.targets, &self.detections)
+    }
 }
