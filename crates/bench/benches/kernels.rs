@@ -14,7 +14,7 @@ use unopose_nn::{
 };
 use unopose_pairs::data::{PairSampler, TrainSample};
 use unopose_tests::ellipsoid_views::EllipsoidViews;
-use unopose_train::pass;
+use unopose_train::forward_backward;
 
 #[derive(Parser)]
 struct Arguments {
@@ -75,7 +75,7 @@ fn main() -> anyhow::Result<()> {
     let estimate = || {
         estimate_pairs(&model, &config.model, &pair, Uniforms::Shared(0), &device).expect("a pose");
     };
-    let train = || drop(pass(&trained, &config, &samples, &training));
+    let train = || drop(forward_backward(&trained, &config, &samples, &training));
     println!(
         "configuration {}, {} threads, passes of {} pairs\n",
         arguments.config,
