@@ -1,5 +1,6 @@
 //! Files, pairs and scores.
 
+mod architecture;
 mod config_files;
 mod eval_oracle;
 mod fixtures;

@@ -13,6 +13,7 @@ use super::InferError;
 /// An assignment on the host with the overlaps behind it.
 #[derive(Clone, Debug)]
 pub struct Matched {
+    /// Weights and labels of all pairs of points.
     pub assignment: Assignment,
     /// Predicted overlap of every query and every reference point, 0..=1.
     pub overlap: [Vec<f32>; 2],

@@ -9,6 +9,7 @@ use unopose_pairs::data::DataError;
 /// Why a view, a pair or a reference file gives no pose.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // Each message says what is wrong.
 pub enum InferError {
     #[error("unusable reference: {0}")]
     Reference(#[source] DataError),
@@ -43,6 +44,7 @@ pub enum InferError {
 }
 
 impl InferError {
+    /// For `map_err`: `what` cannot be read from the device.
     pub fn readback<E: std::fmt::Display>(what: &'static str) -> impl Fn(E) -> Self {
         move |error: E| Self::Readback { what, message: error.to_string() }
     }

@@ -12,13 +12,17 @@ use super::{Confidence, Evidence, PairTrace, Reference, StageTimes};
 /// A query instance and the reference it is compared with.
 #[derive(Clone, Copy)]
 pub struct Query<'a> {
+    /// The object.
     pub reference: &'a Reference,
+    /// The view that shows the instance.
     pub frame: &'a RgbdFrame,
+    /// Pixels of the instance.
     pub mask: &'a Mask,
 }
 
 /// The pose of one instance with what explains it.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Estimate {
     /// Reference camera to query camera, metres.
     pub t_query_reference: Pose,
@@ -37,12 +41,15 @@ pub struct Estimate {
     pub t_query_reference_coarse: Pose,
     /// Whether a refinement replaced the network's pose.
     pub refined: bool,
+    /// Seconds.
     pub timings: Timings,
 }
 
 /// An estimate with the way to it.
 pub struct Trace {
+    /// As without a trace.
     pub estimate: Estimate,
+    /// Both stages.
     pub stages: PairTrace,
     /// The query as the network sees it.
     pub cloud: CloudInput,
@@ -50,11 +57,15 @@ pub struct Trace {
 
 /// Seconds per instance; what a batch shares is divided evenly.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Timings {
     /// Crop, sampling, reference frame, structure.
     pub prepare: f64,
+    /// The network's stages.
     #[serde(flatten)]
     pub network: StageTimes,
+    /// Refinement and back-projection.
     pub refine: f64,
+    /// Sum of the above.
     pub total: f64,
 }

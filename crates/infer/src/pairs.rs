@@ -66,6 +66,7 @@ impl StageTimes {
         self.solve += other.solve;
     }
 
+    /// Sum of the stages, seconds.
     pub fn total(&self) -> f64 {
         self.encode + self.coarse + self.hypotheses + self.fine + self.solve
     }
@@ -74,13 +75,16 @@ impl StageTimes {
 /// A query's cloud and the reference's, both in units of the reference's radius.
 #[derive(Clone, Copy, Debug)]
 pub struct CloudPair<'a> {
+    /// The query as the network sees it.
     pub query: &'a CloudInput,
+    /// The reference as the network sees it.
     pub reference: &'a CloudInput,
     /// The reference's, metres.
     pub radius: f32,
 }
 
 impl<'a> CloudPair<'a> {
+    /// Of a prepared reference.
     pub fn new(query: &'a CloudInput, reference: &'a PreparedReference) -> Self {
         Self { query, reference: &reference.cloud, radius: reference.radius }
     }

@@ -41,18 +41,22 @@ impl PoseEstimator {
         self
     }
 
+    /// The network's configuration.
     pub fn config(&self) -> &ModelConfig {
         &self.config
     }
 
+    /// `None`: estimates have no confidence.
     pub fn calibration(&self) -> Option<&Calibration> {
         self.calibration.as_ref()
     }
 
+    /// What follows the network.
     pub fn refinement(&self) -> Refinement {
         self.refinement
     }
 
+    /// Seed of point sampling and hypotheses.
     pub fn seed(&self) -> u64 {
         self.seed
     }

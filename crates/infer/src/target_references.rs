@@ -28,6 +28,7 @@ pub struct TargetReferences<'a> {
     unusable: BTreeMap<ReferenceKey, String>,
     /// References made, and the seconds it took.
     pub made: usize,
+    /// Seconds of making them.
     pub seconds: f64,
 }
 

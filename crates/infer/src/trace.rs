@@ -13,7 +13,9 @@ const FITTING_DISTANCE: f32 = 0.15;
 /// One pair's way through the network; poses and points in the matching frames (radii).
 #[derive(Clone, Debug)]
 pub struct PairTrace {
+    /// Assignment of the sparse points.
     pub coarse: Matched,
+    /// The hypotheses and the chosen one.
     pub coarse_pose: CoarsePose,
     /// `None` without a fine stage.
     pub fine: Option<FineTrace>,
@@ -22,8 +24,11 @@ pub struct PairTrace {
 /// The fine stage.
 #[derive(Clone, Debug)]
 pub struct FineTrace {
+    /// Where it began.
     pub start: Pose,
+    /// Assignment of the dense points.
     pub matched: Matched,
+    /// Weighted Procrustes and score.
     pub solved: FinePose,
 }
 

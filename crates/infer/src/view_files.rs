@@ -15,7 +15,9 @@ const DEPTH_EXTENSIONS: [&str; 3] = ["png", "tif", "tiff"];
 /// Files of one view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ViewFiles {
+    /// Colour image.
     pub rgb: PathBuf,
+    /// Depth image, registered to the colour image.
     pub depth: PathBuf,
     /// One mask per instance.
     pub masks: Vec<PathBuf>,
@@ -26,7 +28,9 @@ pub struct ViewFiles {
 /// A view in memory, with the masks in the order of the files.
 #[derive(Clone, Debug)]
 pub struct View {
+    /// Colour, depth and intrinsics.
     pub frame: RgbdFrame,
+    /// As large as the frame.
     pub masks: Vec<Mask>,
 }
 

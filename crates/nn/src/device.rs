@@ -13,14 +13,20 @@ pub enum DeviceChoice {
     /// The fastest backend of this build that finds hardware: cuda, wgpu (not on a software driver), flex, ndarray.
     #[default]
     Auto,
+    /// The CPU, vectorised and multi-threaded.
     Flex,
+    /// The CPU by burn's older backend.
     NdArray,
+    /// A GPU by Vulkan, Metal or WebGPU.
     Wgpu,
+    /// An NVIDIA GPU.
     Cuda,
 }
 
 /// Why there is no such device.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[non_exhaustive]
+#[allow(missing_docs)] // Each message says what is wrong.
 pub enum DeviceError {
     #[error("unknown device {0:?}, expected auto, flex, ndarray, wgpu or cuda")]
     Unknown(String),

@@ -24,30 +24,37 @@ pub struct PoseCriterion {
 }
 
 impl PoseCriterion {
+    /// 15 degrees and a tenth of the diameter.
     pub const DEFAULT: Self = Self { rotation_deg: 15.0, translation: 0.1 };
 }
 
 /// One term of the regression.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Term {
+    /// What is weighed.
     pub feature: Feature,
     /// Per unit of the feature's value, not negative.
     pub weight: f64,
     /// Value that nine of ten right poses reach, and their median.
     pub usual: f64,
+    /// Median of the right poses.
     pub typical: f64,
 }
 
 /// A fitted calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
+    /// Log odds without any evidence.
     pub intercept: f64,
+    /// One per feature.
     pub terms: Vec<Term>,
     /// Probability below which an estimate is not confident by default.
     pub threshold: f64,
+    /// Which poses of the fit counted as right.
     pub right: PoseCriterion,
     /// Pairs of the fit, and the share of them that were right.
     pub pairs: usize,
+    /// Share of them that was right.
     pub right_share: f64,
     /// What the pairs are.
     pub data: String,
@@ -55,6 +62,7 @@ pub struct Calibration {
 
 /// How far an estimate can be trusted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Confidence {
     /// That the pose is right.
     pub probability: f64,
@@ -66,8 +74,11 @@ pub struct Confidence {
 
 /// A reason why an estimate is not confident.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Reason {
+    /// For programs.
     pub kind: ReasonKind,
+    /// For people: the value met and the usual one.
     pub text: String,
 }
 

@@ -10,6 +10,7 @@ pub struct Evidence {
     pub fit: f64,
     /// Mean predicted overlap of the query's and the reference's points.
     pub overlap_query: f64,
+    /// Mean predicted overlap of the reference's points.
     pub overlap_reference: f64,
     /// Share of the query's points matched to a reference point.
     pub matched: f64,
@@ -31,25 +32,40 @@ pub struct Evidence {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
+    /// [`Evidence::fit`].
     Fit,
+    /// [`Evidence::overlap_query`].
     OverlapQuery,
+    /// [`Evidence::overlap_reference`].
     OverlapReference,
+    /// [`Evidence::matched`].
     Matched,
+    /// Logarithm of [`Evidence::mass`].
     Mass,
+    /// Minus the logarithm of [`Evidence::residual`].
     Residual,
+    /// Logarithm of [`Evidence::coarse_score`].
     CoarseScore,
+    /// Minus [`Evidence::rival`].
     Rival,
+    /// Minus the logarithm of [`Evidence::agreement_deg`].
     Agreement,
+    /// Logarithm of [`Evidence::points`].
     Points,
 }
 
 /// Kinds of reasons why an estimate is not confident.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ReasonKind {
+    /// The mask holds few measured pixels.
     FewPoints,
+    /// The views show different sides.
     LowOverlap,
+    /// Another rotation explains the matches nearly as well.
     Ambiguous,
+    /// The matches disagree with the pose or with each other.
     PoorFit,
 }
 
@@ -79,6 +95,7 @@ impl Support {
 }
 
 impl Feature {
+    /// In the order of the fit.
     pub const ALL: [Self; 10] = [
         Self::Fit,
         Self::OverlapQuery,

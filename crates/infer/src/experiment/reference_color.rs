@@ -9,6 +9,7 @@ use unopose_core::frame::{Mask, RgbdFrame};
 /// The colours of the reference that the network sees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReferenceColor {
+    /// As they are.
     #[default]
     Keep,
     /// Brightness only.

@@ -6,6 +6,8 @@ use unopose_core::{config::ConfigError, files::FileError};
 
 /// A checkpoint that cannot be written, read, or put into the network at hand.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)] // Each message says what is wrong.
 pub enum CheckpointError {
     #[error("cannot read checkpoint {}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
@@ -69,6 +71,7 @@ pub struct Mismatch {
 }
 
 impl Mismatch {
+    /// Whether every tensor has its place; the configuration may differ.
     pub fn fits(&self) -> bool {
         self.missing.is_empty() && self.extra.is_empty() && self.shapes.is_empty()
     }

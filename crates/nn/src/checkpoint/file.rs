@@ -14,7 +14,9 @@ use super::CheckpointError;
 
 /// Contents of a checkpoint file on the host.
 pub struct TensorFile {
+    /// Values by name.
     pub tensors: BTreeMap<String, TensorData>,
+    /// The header's `__metadata__`.
     pub metadata: BTreeMap<String, String>,
 }
 

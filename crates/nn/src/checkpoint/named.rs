@@ -13,6 +13,7 @@ use super::{
 /// Tensors as f32 under the names of the file.
 #[derive(Clone, Debug)]
 pub struct NamedTensors {
+    /// Values by their name in the file.
     pub tensors: BTreeMap<String, TensorData>,
     /// Names of stored tensors that the network does not use.
     pub unused: Vec<String>,

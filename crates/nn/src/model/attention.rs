@@ -10,14 +10,19 @@ use super::{
 /// Projections shared by both kinds; `proj_p` is present for relative positions.
 #[derive(Module, Debug)]
 pub struct MultiHeadAttention {
+    /// Queries `[C, C]`.
     pub proj_q: Linear,
+    /// Keys `[C, C]`.
     pub proj_k: Linear,
+    /// Values `[C, C]`.
     pub proj_v: Linear,
+    /// Structure embedding `[C, C]`.
     pub proj_p: Option<Linear>,
     heads: usize,
 }
 
 impl MultiHeadAttention {
+    /// `relative` attention reads a structure embedding.
     pub fn new(width: usize, heads: usize, relative: bool, init: &mut Initializer) -> Self {
         Self {
             proj_q: init.linear(width, width),

@@ -20,6 +20,7 @@ use super::{
 /// Image encoder and its read-out at the points.
 #[derive(Module, Debug)]
 pub struct FeatureExtraction {
+    /// The encoder of the configuration.
     pub rgb_net: RgbNet,
 }
 
@@ -39,6 +40,7 @@ pub struct RgbNet {
 const UPSCALING: usize = 4;
 
 impl FeatureExtraction {
+    /// With the encoder that `config.color` names.
     pub fn new(config: &ModelConfig, init: &mut Initializer) -> Self {
         let out_dim = config.color.out_dim();
         let mut net = RgbNet {

@@ -18,7 +18,9 @@ use crate::device::is_host;
 /// `proj_d(s(distance)) + max over neighbours of proj_a(s(angle))`.
 #[derive(Module, Debug)]
 pub struct GeometricStructureEmbedding {
+    /// Map of the distances' sinusoids.
     pub proj_d: Linear,
+    /// Map of the angles' sinusoids.
     pub proj_a: Linear,
     table: bool,
 }
@@ -30,6 +32,7 @@ const STEPS_PER_UNIT: f32 = 256.0;
 const RUN: usize = 256;
 
 impl GeometricStructureEmbedding {
+    /// Initial weights.
     pub fn new(config: &GeoEmbeddingConfig, init: &mut Initializer) -> Self {
         Self {
             proj_d: init.linear(config.hidden_dim, config.hidden_dim),

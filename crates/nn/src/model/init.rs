@@ -16,10 +16,12 @@ pub struct Initializer<'a> {
 }
 
 impl<'a> Initializer<'a> {
+    /// The same seed gives the same weights on every device.
     pub fn new(seed: u64, device: &'a Device) -> Self {
         Self { rng: ChaCha8Rng::seed_from_u64(seed), device }
     }
 
+    /// Where the weights are.
     pub fn device(&self) -> &'a Device {
         self.device
     }
@@ -66,6 +68,7 @@ impl<'a> Initializer<'a> {
         Linear { weight: self.normal([d_input, d_output], (2.0 / d_input as f64).sqrt()), bias: None }
     }
 
+    /// Scale 1, shift 0.
     pub fn layer_norm(&self, width: usize, epsilon: f64) -> LayerNorm {
         LayerNormConfig::new(width).with_epsilon(epsilon).init(self.device)
     }

@@ -38,7 +38,9 @@ pub struct LinearAttentionLayer {
 /// Linear attention layer and feed-forward part.
 #[derive(Module, Debug)]
 pub struct LinearTransformerLayer {
+    /// Attention with its projection and norm.
     pub attention: LinearAttentionLayer,
+    /// The feed-forward part.
     pub output: AttentionOutput,
 }
 
@@ -77,6 +79,7 @@ impl FocusedLinearAttention {
 }
 
 impl LinearTransformerLayer {
+    /// Initial weights; `focusing_factor` is the exponent of the focused features.
     pub fn new(width: usize, heads: usize, focusing_factor: f32, init: &mut Initializer) -> Self {
         Self {
             attention: LinearAttentionLayer {

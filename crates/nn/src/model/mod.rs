@@ -49,16 +49,22 @@ use unopose_core::config::ModelConfig;
 /// The whole network.
 #[derive(Module, Debug)]
 pub struct UnoPose {
+    /// Colour features of the points.
     pub feature_extraction: FeatureExtraction,
+    /// Embedding of distances and angles.
     pub geo_embedding: GeometricStructureEmbedding,
+    /// Matching of the sparse points.
     pub coarse_point_matching: CoarsePointMatching,
+    /// Matching of the dense points; `None` with `use_fine = false`.
     pub fine_point_matching: Option<FinePointMatching>,
 }
 
 /// Block outputs of both stages (the fine list is empty without a fine stage).
 #[derive(Clone, Debug)]
 pub struct MatchingOutputs {
+    /// Compared blocks of the coarse stage.
     pub coarse: Vec<BlockOutput>,
+    /// Compared blocks of the fine stage.
     pub fine: Vec<BlockOutput>,
 }
 

@@ -40,8 +40,11 @@ pub struct OutputConv {
 /// Two neighbourhood scales, concatenated and mapped to the transformer's width.
 #[derive(Module, Debug)]
 pub struct PositionalEncoding {
+    /// Shared layers of the smaller neighbourhoods.
     pub mlp1: SharedMlp,
+    /// Shared layers of the larger neighbourhoods.
     pub mlp2: SharedMlp,
+    /// Map of both scales to the tokens' width.
     pub mlp3: OutputConv,
     use_lrf: bool,
 }
@@ -99,6 +102,7 @@ impl SharedMlp {
 }
 
 impl PositionalEncoding {
+    /// Initial weights.
     pub fn new(config: &FineConfig, init: &mut Initializer) -> Self {
         let inputs = if config.use_lrf { 6 } else { 3 };
         let mlp1 = SharedMlp::new(inputs, config.pe_channels, init);

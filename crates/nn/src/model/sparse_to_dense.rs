@@ -14,7 +14,9 @@ use super::{
 /// `sparse_layer` then `dense_layer`.
 #[derive(Module, Debug)]
 pub struct SparseToDenseTransformer {
+    /// Self- and cross-attention of the sparse tokens.
     pub sparse_layer: GeometricTransformer,
+    /// Dense tokens attend to sparse ones.
     pub dense_layer: LinearTransformerLayer,
 }
 
@@ -41,6 +43,7 @@ impl DenseTokens {
 }
 
 impl SparseToDenseTransformer {
+    /// Initial weights.
     pub fn new(config: &FineConfig, init: &mut Initializer) -> Self {
         let matching = &config.matching;
         Self {

@@ -23,10 +23,15 @@ use super::{
 /// Geometric transformer on the sparse points.
 #[derive(Module, Debug)]
 pub struct CoarsePointMatching {
+    /// Colour features to tokens.
     pub in_proj: Linear,
+    /// Tokens to the features that are compared.
     pub out_proj: Linear,
+    /// The background's token `[1, 1, C]`.
     pub bg_token: Param<Tensor<3>>,
+    /// Overlap heads, one per block; `None` with `overlap = "off"`.
     pub score_heads: Option<Vec<Linear>>,
+    /// The blocks.
     pub transformers: Vec<GeometricTransformer>,
     temperature: f64,
     overlap_features: bool,
@@ -35,11 +40,17 @@ pub struct CoarsePointMatching {
 /// Sparse-to-dense transformer on all points.
 #[derive(Module, Debug)]
 pub struct FinePointMatching {
+    /// Colour features to tokens.
     pub in_proj: Linear,
+    /// Tokens to the features that are compared.
     pub out_proj: Linear,
+    /// The background's token `[1, 1, C]`.
     pub bg_token: Param<Tensor<3>>,
+    /// Overlap heads, one per block; `None` with `overlap = "off"`.
     pub score_heads: Option<Vec<Linear>>,
+    /// Positional encoding.
     pub PE: PositionalEncoding,
+    /// The blocks.
     pub transformers: Vec<SparseToDenseTransformer>,
     temperature: f64,
     overlap_features: bool,
@@ -55,6 +66,7 @@ pub enum Supervision {
 }
 
 impl CoarsePointMatching {
+    /// Initial weights.
     pub fn new(config: &ModelConfig, init: &mut Initializer) -> Self {
         let stage = &config.coarse;
         let HeadParameters { in_proj, out_proj, bg_token, score_heads } =
@@ -118,6 +130,7 @@ impl CoarsePointMatching {
 }
 
 impl FinePointMatching {
+    /// Initial weights.
     pub fn new(config: &ModelConfig, init: &mut Initializer) -> Self {
         let stage = &config.fine.matching;
         let HeadParameters { in_proj, out_proj, bg_token, score_heads } =

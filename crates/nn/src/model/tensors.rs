@@ -50,7 +50,9 @@ pub struct CloudTensors {
 /// Rotations `[B, 3, 3]` and translations `[B, 1, 3]` that map reference to query points (radii, matching frames).
 #[derive(Clone, Debug)]
 pub struct PoseTensors {
+    /// `[B, 3, 3]`.
     pub rotation: Tensor<3>,
+    /// `[B, 1, 3]`, radii.
     pub translation: Tensor<3>,
 }
 
@@ -142,6 +144,7 @@ impl CloudTensors {
 }
 
 impl PoseTensors {
+    /// Of poses between matching frames.
     pub fn new<'a>(poses: impl Iterator<Item = &'a Pose>, device: &Device) -> Self {
         let (mut rotation, mut translation, mut batch) = (Vec::new(), Vec::new(), 0);
         for pose in poses {

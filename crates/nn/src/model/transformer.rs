@@ -33,7 +33,9 @@ pub struct AttentionOutput {
 /// Attention layer and feed-forward part.
 #[derive(Module, Debug)]
 pub struct TransformerLayer {
+    /// Attention with its projection and norm.
     pub attention: AttentionLayer,
+    /// The feed-forward part.
     pub output: AttentionOutput,
 }
 
@@ -45,6 +47,7 @@ pub struct GeometricTransformer {
 }
 
 impl AttentionOutput {
+    /// Initial weights; `relative` attention reads a structure embedding.
     pub fn new(width: usize, init: &mut Initializer) -> Self {
         Self {
             expand: init.linear(width, 2 * width),
@@ -73,6 +76,7 @@ impl AttentionOutput {
 }
 
 impl TransformerLayer {
+    /// Initial weights.
     pub fn new(width: usize, heads: usize, relative: bool, init: &mut Initializer) -> Self {
         Self {
             attention: AttentionLayer {

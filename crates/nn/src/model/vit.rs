@@ -61,12 +61,17 @@ pub struct VitBlock {
 /// The transformer without a classification head.
 #[derive(Module, Debug)]
 pub struct VisionTransformer {
+    /// Class token `[1, 1, C]`.
     pub cls_token: Param<Tensor<3>>,
+    /// Register tokens `[1, R, C]`.
     pub reg_token: Option<Param<Tensor<3>>>,
     /// `[1, patches (+ 1 for the class token unless no_embed_class), embed_dim]`.
     pub pos_embed: Param<Tensor<3>>,
+    /// Patches to tokens.
     pub patch_embed: PatchEmbed,
+    /// Pre-norm attention and perceptron.
     pub blocks: Vec<VitBlock>,
+    /// Norm of the last tokens.
     pub norm: LayerNorm,
     patch_size: usize,
     no_embed_class: bool,
@@ -91,6 +96,7 @@ impl VitFeatures {
 }
 
 impl VisionTransformer {
+    /// Initial weights for square images of `image_size` pixels.
     pub fn new(config: &VitConfig, image_size: usize, init: &mut Initializer) -> Self {
         let width = config.embed_dim;
         let side = image_size / config.patch_size;

@@ -45,6 +45,7 @@ const PUBLISHED: [(usize, usize, &str); 3] = [(384, 12, "ViT-S"), (768, 12, "ViT
 #[derive(Clone, Debug)]
 pub struct Backbone {
     path: PathBuf,
+    /// Whose names the file uses.
     pub naming: Naming,
     /// Parameters as f32; the position embedding as it is stored.
     pub tensors: BTreeMap<String, TensorData>,
@@ -61,9 +62,13 @@ pub struct Backbone {
 /// What the shapes of a backbone tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BackboneSizes {
+    /// Width of the tokens.
     pub embed_dim: usize,
+    /// Number of blocks.
     pub depth: usize,
+    /// Side of a patch, pixels.
     pub patch_size: usize,
+    /// Tokens beside the class token and the patches.
     pub register_tokens: usize,
     /// Patches per side of the position embedding.
     pub side: usize,

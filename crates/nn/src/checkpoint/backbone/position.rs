@@ -20,7 +20,10 @@ use super::Naming;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Resampling {
     /// Cubic convolution over the four nearest patches; `offset` enlarges the new side when the step is computed.
-    Plain { offset: f64 },
+    Plain {
+        /// Added to the new side, patches.
+        offset: f64,
+    },
     /// The kernel is widened by the step, so that every old patch counts.
     Antialiased,
 }

@@ -8,19 +8,29 @@ use unopose_core::config::{ColorConfig, ModelConfig, VitConfig};
 /// What the shapes tell; `None` where the tensors are absent. Numbers of heads are not among it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct OfficialSizes {
+    /// Width of the backbone's tokens.
     pub vit_embed_dim: Option<usize>,
+    /// Blocks of the backbone.
     pub vit_depth: Option<usize>,
+    /// Side of a patch, pixels.
     pub vit_patch_size: Option<usize>,
+    /// Register tokens of the backbone.
     pub vit_register_tokens: Option<usize>,
     /// Rows of the position embedding.
     pub vit_positions: Option<usize>,
     /// Channels of the colour features.
     pub color_out_dim: Option<usize>,
+    /// Width of the matching stages' tokens.
     pub hidden_dim: Option<usize>,
+    /// Width of the features that the coarse stage compares.
     pub coarse_out_dim: Option<usize>,
+    /// Width of the features that the fine stage compares.
     pub fine_out_dim: Option<usize>,
+    /// Transformer blocks of the coarse stage.
     pub coarse_blocks: Option<usize>,
+    /// Transformer blocks of the fine stage.
     pub fine_blocks: Option<usize>,
+    /// Output channels of the positional encoding's three shared layers.
     pub pe_channels: Option<[usize; 3]>,
     /// Input channels of the positional encoding: 6 with local reference frames, else 3.
     pub pe_inputs: Option<usize>,

@@ -11,10 +11,15 @@ use super::kernels;
 /// What a transformer layer does with what its tokens read: output projection, residual, norm, then the feed-forward part
 /// `norm(x + squeeze(relu(expand(x))))`.
 pub struct TokenMaps<'a> {
+    /// Projection of what was read.
     pub linear: &'a Linear,
+    /// Norm after the residual.
     pub norm: &'a LayerNorm,
+    /// First map of the feed-forward part.
     pub expand: &'a Linear,
+    /// Second map of the feed-forward part.
     pub squeeze: &'a Linear,
+    /// Norm after the feed-forward part's residual.
     pub output_norm: &'a LayerNorm,
     /// Of both norms, which keep it to themselves.
     pub epsilon: f64,
@@ -22,34 +27,51 @@ pub struct TokenMaps<'a> {
 
 /// Projections of softmax attention; `relative` is that of the structure embedding.
 pub struct AttentionMaps<'a> {
+    /// Queries.
     pub query: &'a Linear,
+    /// Keys.
     pub key: &'a Linear,
+    /// Values.
     pub value: &'a Linear,
+    /// Structure embedding.
     pub relative: Option<&'a Linear>,
+    /// Number of heads, which divides the width.
     pub heads: usize,
 }
 
 /// Projections of focused linear attention with exponent 3.
 pub struct FocusedMaps<'a> {
+    /// Queries.
     pub query: &'a Linear,
+    /// Keys.
     pub key: &'a Linear,
+    /// Values.
     pub value: &'a Linear,
     /// Positive, `[1, 1, C]`.
     pub scale: &'a Tensor<3>,
+    /// Number of heads, which divides the width.
     pub heads: usize,
+    /// Added to rectified features.
     pub epsilon: f64,
 }
 
 /// Parameters of a vision transformer's block.
 pub struct VisionMaps<'a> {
+    /// Norm before the attention.
     pub norm1: &'a LayerNorm,
+    /// Query, key and value side by side.
     pub qkv: &'a Linear,
+    /// Projection of what was read.
     pub proj: &'a Linear,
+    /// Norm before the perceptron.
     pub norm2: &'a LayerNorm,
+    /// First map of the perceptron.
     pub fc1: &'a Linear,
+    /// Second map of the perceptron.
     pub fc2: &'a Linear,
     /// What the attention's and the perceptron's outputs are scaled by, `[C]`.
     pub scales: [Tensor<1>; 2],
+    /// Number of heads, which divides the width.
     pub heads: usize,
     /// Of both norms, which keep it to themselves.
     pub epsilon: f64,

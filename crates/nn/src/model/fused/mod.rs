@@ -146,7 +146,12 @@ pub enum PositionBias<'a> {
     Table(&'a Tensor<3>),
     /// For tokens of a grid, row by row: the products of the (unscaled) query with embeddings of the query's and the key's
     /// row `[h, h, d]` and of their columns `[w, w, d]`, the same for all heads.
-    Axes { rows: &'a Tensor<3>, columns: &'a Tensor<3> },
+    Axes {
+        /// `[h, h, d]`.
+        rows: &'a Tensor<3>,
+        /// `[w, w, d]`.
+        columns: &'a Tensor<3>,
+    },
 }
 
 /// [`self_attention`] with a bias of the scores.
