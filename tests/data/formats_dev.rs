@@ -1,10 +1,14 @@
-//! The readers on the benchmark's own files and on real RGB-D frames.
+//! The readers on the benchmark's own files, on shards of the BOP toolkit's converters and on real RGB-D frames.
+
+use std::collections::BTreeMap;
 
 use unopose_dataset::{
     formats::{
         BopDataset,
         camera::read_camera,
+        files::read_json,
         image_io::{read_depth, read_mask, read_rgb},
+        megapose::{ShardDataset, write_index_files},
         targets::{read_reference_targets, read_targets},
     },
     mesh,
@@ -86,6 +90,43 @@ fn target_lists_agree() {
         // The list samples continuous symmetries every 1.14 degrees.
         assert!((angle - target.rot_deg.unwrap()).abs() < 0.7, "{target:?}: {angle}");
     }
+}
+
+#[test]
+#[cfg_attr(not(has_shared), ignore = "needs the shared folder: UNOPOSE_SHARED")]
+fn the_example_shards_are_read() {
+    let folder = shared("bench/megapose_example");
+    let dataset = ShardDataset::open(&folder).unwrap();
+    let mut keys = dataset.image_keys().to_vec();
+    keys.sort();
+    assert_eq!(keys, ["000101_000001", "000101_000002", "000102_000000", "000102_000001"]);
+    let image = dataset.image_keys().iter().position(|k| k == "000101_000001").unwrap() as u32;
+    let frame = dataset.load(image).unwrap();
+    let ids: Vec<u32> = frame.instances.iter().map(|i| i.obj_id).collect();
+    assert_eq!(ids, [5, 7, 1, 10]);
+    for instance in &frame.instances {
+        assert_eq!(instance.mask_visib.count(), instance.px_count_visib as usize);
+    }
+    assert!((frame.instances[0].t_camera_object.translation.z - 0.764_723_405_726_574_5).abs() < 1e-12);
+    let valid =
+        frame.instances[0].mask_visib.pixels().filter(|&(c, r)| frame.frame.depth.get(c, r) > 0.0).count();
+    assert_eq!(valid, 2697, "px_count_valid of the example");
+}
+
+/// `key_to_shard.json` of the example, made again from its shards.
+#[test]
+#[cfg_attr(not(has_shared), ignore = "needs the shared folder: UNOPOSE_SHARED")]
+fn the_keys_of_the_example_lie_in_the_published_shards() {
+    let published = shared("bench/megapose_example/train_pbr_web");
+    let copy = tempfile::tempdir().unwrap();
+    for shard in ["shard-000000.tar", "shard-000001.tar"] {
+        std::fs::copy(published.join(shard), copy.path().join(shard)).unwrap();
+    }
+    write_index_files(copy.path(), "example", &ShardDataset::open(copy.path()).unwrap(), [640, 480]).unwrap();
+    let shard_of_key = |folder: &std::path::Path| -> BTreeMap<String, u32> {
+        read_json(&folder.join("key_to_shard.json")).unwrap()
+    };
+    assert_eq!(shard_of_key(copy.path()), shard_of_key(&published));
 }
 
 #[test]
