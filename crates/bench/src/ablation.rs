@@ -6,9 +6,11 @@ use unopose_core::files::write_atomic;
 use unopose_eval::eval::{Evaluation, paired_difference};
 
 use super::{
-    BenchError, Comparison, MethodRun, Switches,
+    BenchError, Switches,
     cells::{percent, span},
+    comparison::Comparison,
     published::published_ablation,
+    run::MethodRun,
     section::Section,
 };
 

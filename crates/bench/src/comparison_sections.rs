@@ -1,20 +1,21 @@
 //! A comparison as the sections of its report.
 
 use super::{
-    Comparison, MethodScore, OverlapBin,
     cells::{percent, seconds, span},
-    own_masks,
+    comparison::{Comparison, MethodScore},
+    facts::OverlapBin,
     published::published_tables,
     section::Section,
+    unoseg_masks,
 };
 
 /// The tables with the paper's numbers below ours where it has them, and what has to be known about them.
 pub(crate) fn markdown(comparison: &Comparison) -> String {
     let differences = Some(differences(comparison)).filter(|table| !table.rows.is_empty());
-    let own_masks = Some(&comparison.facts.own_masks).filter(|masks| !masks.is_empty());
+    let unoseg_masks = Some(&comparison.facts.unoseg_masks).filter(|masks| !masks.is_empty());
     let sections = std::iter::once(methods(comparison))
         .chain(differences)
-        .chain(own_masks.map(|masks| own_masks::section(masks).titled("Our own segmentation:")))
+        .chain(unoseg_masks.map(|masks| unoseg_masks::section(masks).titled("Our own segmentation:")))
         .chain([other_metrics(comparison)])
         .chain(by_rotation(comparison).map(|table| table.titled("AR by the angle to the reference:")))
         .chain(published(comparison))

@@ -9,7 +9,7 @@ use unopose_dataset::{
 };
 use unopose_eval::eval::ROTATION_EDGES;
 
-use super::OwnMasks;
+use super::UnoSegMasks;
 
 /// How a list came about.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -24,8 +24,9 @@ pub struct ListFacts {
     pub list_seed: Option<u64>,
     /// COCO's mAP of given masks.
     pub mask_map: Option<f64>,
-    /// Our own segmentation, by the sources of proposals that were tried.
-    pub own_masks: Vec<OwnMasks>,
+    /// Masks that UNOSeg found, by the sources of proposals that were tried.
+    #[serde(rename = "own_masks")]
+    pub unoseg_masks: Vec<UnoSegMasks>,
 }
 
 /// Targets whose reference is between two angles away.

@@ -18,18 +18,7 @@ use unopose_dataset::{
 };
 use unopose_eval::eval::{RegionKind, coco_detections, coco_ground_truth, coco_map};
 
-use super::{BenchError, OwnMasks, facts::ListFacts, rendered::render_references};
-
-/// Where the masks of the targets come from.
-#[derive(Clone, Debug)]
-pub enum Segmentation {
-    /// The annotated visible masks.
-    GroundTruth,
-    /// A file of detections.
-    File(PathBuf),
-    /// Detections made by [`unopose_segment::segment`].
-    Own(OwnMasks),
-}
+use super::{BenchError, DetectionSource, UnoSegMasks, facts::ListFacts, rendered::render_references};
 
 /// What a benchmark is run on.
 #[derive(Clone, Debug)]
@@ -41,7 +30,8 @@ pub struct ListRequest {
     pub reference_split: Option<String>,
     /// A list to use instead of the protocols' own.
     pub targets: Option<PathBuf>,
-    pub segmentation: Segmentation,
+    /// Masks of the targets.
+    pub detections: DetectionSource<UnoSegMasks>,
     /// Only the first so many entries of every list.
     pub limit: Option<usize>,
     /// Of the choice of references.
@@ -89,11 +79,11 @@ impl ListRequest {
     }
 
     fn facts(&self, list: String) -> ListFacts {
-        let own_masks = match &self.segmentation {
-            Segmentation::Own(masks) => vec![masks.clone()],
+        let unoseg_masks = match &self.detections {
+            DetectionSource::UnoSeg(masks) => vec![masks.clone()],
             _ => Vec::new(),
         };
-        ListFacts { list, segmentation: self.segmentation.name(), own_masks, ..ListFacts::default() }
+        ListFacts { list, segmentation: self.detections.name(), unoseg_masks, ..ListFacts::default() }
     }
 
     fn read(&self, path: &Path, list: String) -> Result<Entries, FormatError> {
@@ -163,29 +153,17 @@ impl ListRequest {
                 Some(render_references(&dataset, real, &list.entries, &folder.join("rendered"))?);
             list.facts.list = "rendered".into();
         }
-        let detections = match &self.segmentation {
-            Segmentation::File(path) => read_detections(path)?,
-            Segmentation::Own(masks) => read_detections(&masks.detections)?,
-            Segmentation::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
+        let detections = match &self.detections {
+            DetectionSource::File(path) => read_detections(path)?,
+            DetectionSource::UnoSeg(masks) => read_detections(&masks.detections)?,
+            DetectionSource::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
         };
         let Entries { mut facts, entries, place } = list;
-        if let Segmentation::File(_) = &self.segmentation {
+        if let DetectionSource::File(_) = &self.detections {
             facts.mask_map = Some(mask_map(&split, &entries, &detections)?);
         }
         let list = TargetList::new(dataset, split, reference_split, entries, detections, &place)?;
         Ok(PreparedList { facts, list })
-    }
-}
-
-impl Segmentation {
-    fn name(&self) -> String {
-        match self {
-            Self::GroundTruth => "ground-truth".into(),
-            Self::Own(masks) => format!("unoseg ({})", masks.proposals),
-            Self::File(path) => {
-                path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
-            }
-        }
     }
 }
 

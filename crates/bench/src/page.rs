@@ -5,12 +5,12 @@ use std::fmt::Write as _;
 use unopose_eval::eval::Interval;
 
 use super::{
-    Comparison,
+    comparison::Comparison,
     comparison_sections::{by_rotation, differences, methods, other_metrics, published, title},
     examples::Examples,
-    own_masks,
     published::published_rows,
     section::{Section, escaped, html_row},
+    unoseg_masks,
 };
 
 const STYLE: &str = "body{font:15px sans-serif;max-width:72em;margin:2em auto}table{border-collapse:collapse}\
@@ -34,9 +34,9 @@ pub(crate) fn html(comparison: &Comparison, examples: &[Examples]) -> String {
     page += &Section { columns: Vec::new(), ..differences(comparison) }.html();
     page += &heading("Recall");
     page += "<img src=\"recall.svg\" alt=\"recall by threshold\">\n";
-    let own = &comparison.facts.own_masks;
+    let own = &comparison.facts.unoseg_masks;
     if !own.is_empty() {
-        page += &(heading("Our own segmentation") + &own_masks::section(own).html());
+        page += &(heading("Our own segmentation") + &unoseg_masks::section(own).html());
     }
     page += &(heading("Other metrics") + &other_metrics(comparison).html());
     if let Some(table) = by_rotation(comparison) {

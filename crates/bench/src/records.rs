@@ -14,7 +14,7 @@ use unopose_dataset::formats::{FormatError, ReferenceTarget, detections::Detecti
 
 /// What a pair is: the target, its reference, and the mask.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct PairKey {
+pub struct RecordKey {
     pub scene_id: u32,
     pub im_id: u32,
     pub obj_id: u32,
@@ -24,7 +24,7 @@ pub struct PairKey {
     pub mask_hash: u64,
 }
 
-impl PairKey {
+impl RecordKey {
     pub fn new(target: &ReferenceTarget, detection: &Detection) -> Self {
         let mut hasher = DefaultHasher::new();
         detection.segmentation.size.hash(&mut hasher);
@@ -55,9 +55,9 @@ pub enum PairOutcome {
 
 /// A line of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PairRecord {
+pub struct Record {
     #[serde(flatten)]
-    pub key: PairKey,
+    pub key: RecordKey,
     #[serde(flatten)]
     pub outcome: PairOutcome,
 }
@@ -65,7 +65,7 @@ pub struct PairRecord {
 /// All results of one method on one dataset, in a file that grows line by line.
 #[derive(Debug)]
 pub struct Records {
-    known: HashMap<PairKey, PairOutcome>,
+    known: HashMap<RecordKey, PairOutcome>,
     path: PathBuf,
     file: File,
 }
@@ -89,7 +89,7 @@ impl Records {
             if length == 0 || !line.ends_with('\n') {
                 break;
             }
-            let record: PairRecord = serde_json::from_str(&line)
+            let record: Record = serde_json::from_str(&line)
                 .map_err(|source| FormatError::Json { path: path.clone(), source })?;
             known.insert(record.key, record.outcome);
             whole += length as u64;
@@ -99,13 +99,13 @@ impl Records {
         Ok(Self { known, path, file })
     }
 
-    pub fn get(&self, key: &PairKey) -> Option<&PairOutcome> {
+    pub fn get(&self, key: &RecordKey) -> Option<&PairOutcome> {
         self.known.get(key)
     }
 
     /// Keeps a result, on disk at once.
-    pub fn add(&mut self, key: PairKey, outcome: PairOutcome) -> Result<(), FormatError> {
-        let record = PairRecord { key, outcome };
+    pub fn add(&mut self, key: RecordKey, outcome: PairOutcome) -> Result<(), FormatError> {
+        let record = Record { key, outcome };
         let mut line = serde_json::to_string(&record)
             .map_err(|source| FormatError::Json { path: self.path.clone(), source })?;
         line.push('\n');

@@ -7,10 +7,11 @@ use unopose_dataset::formats::files::write_json;
 use unopose_eval::report::{Curve, Panel, write_curves};
 
 use super::{
-    BenchError, Comparison, MethodScore,
+    BenchError,
+    comparison::{Comparison, MethodScore},
     comparison_sections::{markdown, methods_csv},
     examples::Examples,
-    own_masks, page,
+    page, unoseg_masks,
 };
 
 /// Writes `table.md`, `table.csv`, `table.json`, `recall.svg` and `index.html` into a folder, and `segmentation.csv` where the
@@ -21,9 +22,9 @@ pub fn write_report(comparison: &Comparison, examples: &[Examples], folder: &Pat
         |name: &str, text: &str| write_atomic(&folder.join(name), |out| out.write_all(text.as_bytes()));
     text("table.md", &markdown(comparison))?;
     text("table.csv", &methods_csv(comparison).csv())?;
-    let own = &comparison.facts.own_masks;
+    let own = &comparison.facts.unoseg_masks;
     if !own.is_empty() {
-        text("segmentation.csv", &own_masks::csv(own).csv())?;
+        text("segmentation.csv", &unoseg_masks::csv(own).csv())?;
     }
     write_curves(
         &folder.join("recall.svg"),

@@ -14,7 +14,7 @@ use unopose_pairs::registration::{PairEstimator, PairPose, Refined, Refinement, 
 
 use super::{
     BenchError,
-    records::{PairKey, PairOutcome, Records},
+    records::{PairOutcome, RecordKey, Records},
 };
 
 /// Images kept in memory.
@@ -140,7 +140,7 @@ impl Run<'_> {
 
     /// From the records, or estimated now.
     fn pair(&mut self, target: &ReferenceTarget, detection: &Detection) -> Result<PairOutcome, BenchError> {
-        let key = PairKey::new(target, detection);
+        let key = RecordKey::new(target, detection);
         if let Some(known) = self.records.get(&key) {
             return Ok(known.clone());
         }
@@ -161,7 +161,7 @@ impl Run<'_> {
 
     fn estimate(
         &mut self,
-        key: &PairKey,
+        key: &RecordKey,
         query: MaskedView,
         reference: MaskedView,
     ) -> Result<PairOutcome, FormatError> {

@@ -64,7 +64,7 @@ pub fn run_sequence(
         }
     }
     write_json(&folder.join("sequence.json"), &runs, true)?;
-    let text = markdown(&sequence.name(), reference, &runs);
+    let text = sequence_table(&sequence.name(), reference, &runs);
     write_atomic(&folder.join("sequence.md"), |out| out.write_all(text.as_bytes()))?;
     Ok(runs)
 }
@@ -133,7 +133,7 @@ fn mean(points: &[[f32; 3]]) -> Vector3<f64> {
 }
 
 /// The table of all methods, as Markdown.
-pub fn markdown(name: &str, reference: u32, runs: &[SequenceRun]) -> String {
+pub fn sequence_table(name: &str, reference: u32, runs: &[SequenceRun]) -> String {
     let frames = runs.first().map_or(0, |run| run.frames.len());
     let columns =
         ["method", "angular error", "Acc15", "Acc30", "5 deg 5 cm", "s per pair", "frames without a pose"];

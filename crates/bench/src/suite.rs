@@ -7,7 +7,8 @@ use unopose_eval::eval::{score_poses, write_poses};
 use unopose_pairs::registration::{PairEstimator, Refined, Refinement};
 
 use super::{
-    BenchError, Comparison, Examples, ListFacts, Switches, ablation::write_ablation, run_method, write_report,
+    BenchError, ListFacts, Switches, ablation::write_ablation, comparison::Comparison, examples::Examples,
+    report::write_report, run::run_method,
 };
 
 /// An estimator that takes part.
@@ -35,7 +36,7 @@ pub struct Suite<'a> {
 
 impl Suite<'_> {
     /// Runs and scores every method with every refinement and writes poses, scores, tables and the page into `folder`.
-    pub fn run(&self, list: &TargetList, facts: &ListFacts, folder: &Path) -> Result<Comparison, BenchError> {
+    pub fn run(&self, list: &TargetList, facts: &ListFacts, folder: &Path) -> Result<(), BenchError> {
         let (mut runs, mut examples, mut switches) = (Vec::new(), Vec::new(), Vec::new());
         for method in self.methods {
             for &refinement in self.refinements {
@@ -44,6 +45,7 @@ impl Suite<'_> {
                 let estimating = format!("{name}: estimating");
                 let show = &mut |done, total| (self.progress)(&estimating, done, total);
                 let run = run_method(list, &refined, self.cache, show)?;
+                tracing::debug!("{name}: {} pairs estimated, the others known", run.computed);
                 write_poses(list, &run.poses, &name, &folder.join(&name))?;
                 let scoring = format!("{name}: scoring");
                 let show = |done, total| (self.progress)(&scoring, done, total);
@@ -59,6 +61,6 @@ impl Suite<'_> {
         if !self.ablation.is_empty() {
             write_ablation(&comparison, &runs, &switches, self.ablation, folder)?;
         }
-        Ok(comparison)
+        Ok(())
     }
 }

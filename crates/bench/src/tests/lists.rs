@@ -19,7 +19,7 @@ fn lists_are_built_and_references_rendered() {
         split: None,
         reference_split: None,
         targets: None,
-        segmentation: Segmentation::GroundTruth,
+        detections: DetectionSource::GroundTruth,
         limit: None,
         seed: 5,
         rendered: true,
@@ -50,7 +50,7 @@ fn lists_are_built_and_references_rendered() {
     // A list is read as it is, given masks are scored.
     let request = ListRequest {
         targets: Some(root.join("targets.json")),
-        segmentation: Segmentation::File(root.join("dets.json")),
+        detections: DetectionSource::File(root.join("dets.json")),
         rendered: false,
         ..request
     };

@@ -2,8 +2,8 @@
 
 mod lists;
 mod networks;
-mod own_masks;
 mod sequences;
+mod unoseg_masks;
 
 use std::{
     io::Write,
@@ -32,7 +32,7 @@ use unopose_dataset::{
 use unopose_eval::eval::score_poses;
 use unopose_pairs::registration::{PairEstimator, PairPose, Refined, Refinement, RegistrationError};
 
-use super::*;
+use super::{comparison::Comparison, examples::Examples, report::write_report, run::run_method, *};
 
 fn at(x: f64) -> Pose {
     Pose::new(Matrix3::identity(), Vector3::new(x, 0.0, 1.0))

@@ -8,9 +8,9 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Protocol, ProtocolError, SeenSurface,
+    Protocol, ProtocolError, VisibleSurface,
     choice::{Candidate, drawn},
-    seen::{Seen, seen_instances, seen_targets},
+    instances::{AnnotatedInstance, annotated_instances, target_instances},
 };
 use crate::{
     formats::{BopSplit, FormatError, ModelInfo, ReferenceTarget, Target},
@@ -53,18 +53,18 @@ pub fn build_lists(
     protocols: &[Protocol],
     seed: u64,
 ) -> Result<BuiltLists, ProtocolError> {
-    let mut references = seen_instances(input.reference_split)?;
-    references.retain(Seen::can_be_reference);
+    let mut references = annotated_instances(input.reference_split)?;
+    references.retain(AnnotatedInstance::can_be_reference);
     let mut targets = match input.targets {
-        Some(targets) => seen_targets(input.split, targets)?,
+        Some(targets) => target_instances(input.split, targets)?,
         None => {
-            let mut seen = seen_instances(input.split)?;
-            seen.retain(Seen::can_be_target);
-            seen
+            let mut instances = annotated_instances(input.split)?;
+            instances.retain(AnnotatedInstance::can_be_target);
+            instances
         }
     };
     let views = views_of_objects(&references, &targets);
-    let candidates = |target: &Seen| candidates(input, target, &references, &views);
+    let candidates = |target: &AnnotatedInstance| candidates(input, target, &references, &views);
     let mut offers: Vec<Vec<Candidate>> =
         targets.par_iter().map(candidates).collect::<Result<_, FormatError>>()?;
     if input.targets.is_none() {
@@ -103,13 +103,21 @@ pub fn build_lists(
         without_reference: targets.len() - pairs.len(),
     };
     let lists = protocols.iter().zip(&pairs).map(list).collect();
-    let target = |s: &Seen| Target { scene_id: s.scene_id, im_id: s.im_id, obj_id: s.obj_id, inst_count: 1 };
+    let target = |s: &AnnotatedInstance| Target {
+        scene_id: s.scene_id,
+        im_id: s.im_id,
+        obj_id: s.obj_id,
+        inst_count: 1,
+    };
     Ok(BuiltLists { targets: targets.iter().map(target).collect(), lists })
 }
 
 /// Numbers of the usable references of every object.
-fn views_of_objects(references: &[Seen], targets: &[Seen]) -> BTreeMap<u32, Vec<usize>> {
-    let of_targets: BTreeSet<_> = targets.iter().map(Seen::image).collect();
+fn views_of_objects(
+    references: &[AnnotatedInstance],
+    targets: &[AnnotatedInstance],
+) -> BTreeMap<u32, Vec<usize>> {
+    let of_targets: BTreeSet<_> = targets.iter().map(AnnotatedInstance::image).collect();
     let mut views: BTreeMap<u32, [Vec<usize>; 2]> = BTreeMap::new();
     for (r, reference) in references.iter().enumerate() {
         let outside = usize::from(!of_targets.contains(&reference.image()));
@@ -121,8 +129,8 @@ fn views_of_objects(references: &[Seen], targets: &[Seen]) -> BTreeMap<u32, Vec<
 
 fn candidates(
     input: &ListInput,
-    target: &Seen,
-    references: &[Seen],
+    target: &AnnotatedInstance,
+    references: &[AnnotatedInstance],
     views: &BTreeMap<u32, Vec<usize>>,
 ) -> Result<Vec<Candidate>, FormatError> {
     let Some(views) = views.get(&target.obj_id) else { return Ok(Vec::new()) };
@@ -142,8 +150,8 @@ fn candidates(
 /// Overlap ratio of every pair whose object has a mesh. The surfaces of one object are in memory at a time.
 fn overlaps(
     input: &ListInput,
-    targets: &[Seen],
-    references: &[Seen],
+    targets: &[AnnotatedInstance],
+    references: &[AnnotatedInstance],
     lists: &[Vec<Pair>],
 ) -> Result<HashMap<Pair, f64>, FormatError> {
     let mut by_object: BTreeMap<u32, BTreeSet<Pair>> = BTreeMap::new();
@@ -155,26 +163,30 @@ fn overlaps(
         let (Some(mesh), Some(info)) = (input.meshes.get(&obj_id), input.infos.get(&obj_id)) else {
             continue;
         };
-        let surfaces = |split: &BopSplit, seen: &[Seen], wanted: BTreeSet<usize>| {
+        let surfaces = |split: &BopSplit, instances: &[AnnotatedInstance], wanted: BTreeSet<usize>| {
             let wanted: Vec<usize> = wanted.into_iter().collect();
-            let made = wanted.into_par_iter().map(|i| Ok((i, surface(split, &seen[i], mesh)?)));
-            made.collect::<Result<HashMap<usize, SeenSurface>, FormatError>>()
+            let made = wanted.into_par_iter().map(|i| Ok((i, surface(split, &instances[i], mesh)?)));
+            made.collect::<Result<HashMap<usize, VisibleSurface>, FormatError>>()
         };
         let of_targets = surfaces(input.split, targets, pairs.iter().map(|p| p.0).collect())?;
         let of_references = surfaces(input.reference_split, references, pairs.iter().map(|p| p.1).collect())?;
         let diameter = info.diameter as f32;
         let share = |pair: Pair| {
             let (a, b) = (of_targets.get(&pair.0)?, of_references.get(&pair.1)?);
-            Some((pair, a.share_in(b, diameter)))
+            Some((pair, a.overlap_with(b, diameter)))
         };
         overlaps.extend(pairs.into_iter().filter_map(share));
     }
     Ok(overlaps)
 }
 
-fn surface(split: &BopSplit, seen: &Seen, mesh: &TriangleMesh) -> Result<SeenSurface, FormatError> {
-    let scene = split.scene(seen.scene_id)?;
-    let visible = scene.mask_visib(seen.im_id, seen.instance)?;
-    let camera = scene.camera(seen.im_id)?.intrinsics;
-    Ok(SeenSurface::new(mesh, &seen.t_camera_object, &camera, &visible))
+fn surface(
+    split: &BopSplit,
+    instance: &AnnotatedInstance,
+    mesh: &TriangleMesh,
+) -> Result<VisibleSurface, FormatError> {
+    let scene = split.scene(instance.scene_id)?;
+    let visible = scene.mask_visib(instance.im_id, instance.instance)?;
+    let camera = scene.camera(instance.im_id)?.intrinsics;
+    Ok(VisibleSurface::new(mesh, &instance.t_camera_object, &camera, &visible))
 }

@@ -9,8 +9,8 @@
 mod build;
 mod choice;
 mod error;
+mod instances;
 mod overlap;
-mod seen;
 mod target_list;
 mod target_poses;
 mod target_walk;
@@ -18,7 +18,7 @@ mod target_walk;
 pub use build::{BuiltList, BuiltLists, ListInput, build_lists};
 pub use choice::Protocol;
 pub use error::ProtocolError;
-pub use overlap::SeenSurface;
+pub use overlap::VisibleSurface;
 pub use target_list::{TargetFiles, TargetList};
 pub use target_poses::{ImagePoses, NO_DETECTION, Rejection, TargetPoses, best_outcome};
 pub use target_walk::{ImageTargets, MIN_DETECTION_SCORE, ObjectTargets};

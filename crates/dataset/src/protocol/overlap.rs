@@ -17,12 +17,12 @@ const NEAR: f32 = 0.004;
 const NEAR_SHARE: f32 = 0.03;
 
 /// Noise-free visible surface of an instance, object frame.
-pub struct SeenSurface {
+pub struct VisibleSurface {
     points: Vec<[f32; 3]>,
     tree: Option<ImmutableKdTree<f32, 3>>,
 }
 
-impl SeenSurface {
+impl VisibleSurface {
     pub fn new(mesh: &TriangleMesh, t_camera_object: &Pose, camera: &Intrinsics, visible: &Mask) -> Self {
         let drawn = render_depth(mesh, t_camera_object, camera, visible.width, visible.height);
         let t_object_camera = t_camera_object.inverse();
@@ -41,7 +41,7 @@ impl SeenSurface {
     }
 
     /// Share of the points of this view that `other` has, too.
-    pub fn share_in(&self, other: &Self, diameter: f32) -> f64 {
+    pub fn overlap_with(&self, other: &Self, diameter: f32) -> f64 {
         let near = NEAR.max(NEAR_SHARE * diameter);
         let Some(tree) = &other.tree else { return 0.0 };
         let seen = |p: &&[f32; 3]| tree.nearest_one::<SquaredEuclidean>(p).distance <= near * near;
@@ -72,11 +72,11 @@ mod tests {
         all.data.fill(true);
         let mut left = all.clone();
         left.data.iter_mut().enumerate().for_each(|(i, m)| *m = i % 80 < 40);
-        let whole = SeenSurface::new(&square, &front, &camera, &all);
-        let other = SeenSurface::new(&square, &turned, &camera, &all);
-        let half = SeenSurface::new(&square, &front, &camera, &left);
-        assert!(whole.share_in(&other, 0.1) > 0.99 && other.share_in(&whole, 0.1) > 0.99);
-        assert!((whole.share_in(&half, 0.1) - 0.5).abs() < 0.06, "{}", whole.share_in(&half, 0.1));
-        assert!(half.share_in(&whole, 0.1) > 0.99);
+        let whole = VisibleSurface::new(&square, &front, &camera, &all);
+        let other = VisibleSurface::new(&square, &turned, &camera, &all);
+        let half = VisibleSurface::new(&square, &front, &camera, &left);
+        assert!(whole.overlap_with(&other, 0.1) > 0.99 && other.overlap_with(&whole, 0.1) > 0.99);
+        assert!((whole.overlap_with(&half, 0.1) - 0.5).abs() < 0.06, "{}", whole.overlap_with(&half, 0.1));
+        assert!(half.overlap_with(&whole, 0.1) > 0.99);
     }
 }

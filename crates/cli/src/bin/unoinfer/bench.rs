@@ -9,8 +9,8 @@ use std::{
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use unopose_bench::{
-    INGREDIENTS, ListRequest, Method, Network, OwnMasks, PreparedList, Segmentation, Suite, run_sequence,
-    sequence_table,
+    DetectionSource, INGREDIENTS, ListRequest, Method, Network, PreparedList, Suite, UnoSegMasks,
+    run_sequence, sequence_table,
 };
 use unopose_dataset::{
     formats::{BopDataset, PhoneSequence},
@@ -64,7 +64,7 @@ pub struct BenchArguments {
     /// Masks: gt (annotated visible masks), unoseg (found for --targets as `segment` does, by --descriptor or the first
     /// checkpoint; kept in OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
     #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
-    detections: PathBuf,
+    detections: DetectionSource,
     /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
     /// colour), weights of Segment Anything or MobileSAM, or a list of masks of another segmenter in the COCO/BOP form
     /// [default: embedded]
@@ -136,10 +136,10 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
         seed: arguments.seed,
         progress: &|label, done, total| show(&shown, label, done, total),
     };
-    let (own, segmentations) = segmentations(arguments)?;
-    for segmentation in segmentations {
-        let folder = match &segmentation {
-            Segmentation::Own(masks) if own.len() > 1 => arguments.out.join(&masks.proposals),
+    let (unoseg, sources) = detection_sources(arguments)?;
+    for detections in sources {
+        let folder = match &detections {
+            DetectionSource::UnoSeg(masks) if unoseg.len() > 1 => arguments.out.join(&masks.proposals),
             _ => arguments.out.clone(),
         };
         let request = ListRequest {
@@ -147,13 +147,13 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
             split: arguments.split.clone(),
             reference_split: arguments.reference_split.clone(),
             targets: arguments.targets.clone(),
-            segmentation,
+            detections,
             limit: arguments.limit,
             seed: arguments.seed,
             rendered: matches!(arguments.protocol, ProtocolName::Rendered),
         };
         let mut lists = request.prepare(&protocols(arguments), &folder)?;
-        lists.iter_mut().for_each(|prepared| prepared.facts.own_masks = own.clone());
+        lists.iter_mut().for_each(|prepared| prepared.facts.unoseg_masks = unoseg.clone());
         run_lists(&suite, &lists, &folder)?;
     }
     Ok(())
@@ -177,16 +177,18 @@ fn run_lists(suite: &Suite<'_>, lists: &[PreparedList], folder: &Path) -> anyhow
     Ok(())
 }
 
-/// Our own masks where they are asked for, and the segmentations to run with, one after the other.
-fn segmentations(arguments: &BenchArguments) -> anyhow::Result<(Vec<OwnMasks>, Vec<Segmentation>)> {
-    let given = match arguments.detections.to_str() {
-        Some("gt") => Segmentation::GroundTruth,
-        Some("unoseg") => {
-            let own = own_masks(arguments)?;
-            let segmentations = own.iter().cloned().map(Segmentation::Own).collect();
-            return Ok((own, segmentations));
+/// Masks of UNOSeg where they are asked for, and the sources of detections to run with, one after the other.
+fn detection_sources(
+    arguments: &BenchArguments,
+) -> anyhow::Result<(Vec<UnoSegMasks>, Vec<DetectionSource<UnoSegMasks>>)> {
+    let given = match &arguments.detections {
+        DetectionSource::GroundTruth => DetectionSource::GroundTruth,
+        DetectionSource::File(path) => DetectionSource::File(path.clone()),
+        DetectionSource::UnoSeg(()) => {
+            let masks = unoseg_masks(arguments)?;
+            let sources = masks.iter().cloned().map(DetectionSource::UnoSeg).collect();
+            return Ok((masks, sources));
         }
-        _ => Segmentation::File(arguments.detections.clone()),
     };
     if arguments.descriptor.is_some() || !arguments.proposals.is_empty() || arguments.sam_points.is_some() {
         bail!("--descriptor, --proposals and --sam-points are for --detections unoseg");
@@ -194,9 +196,9 @@ fn segmentations(arguments: &BenchArguments) -> anyhow::Result<(Vec<OwnMasks>, V
     Ok((Vec::new(), vec![given]))
 }
 
-/// Detections of the targets by our own segmentation with every source of proposals, from the references and splits that
+/// Detections of the targets by UNOSeg with every source of proposals, from the references and splits that
 /// the poses get.
-fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
+fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> {
     let targets = arguments.targets.clone().context("--detections unoseg needs the list as --targets")?;
     if matches!(arguments.protocol, ProtocolName::Rendered) {
         bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
@@ -231,7 +233,7 @@ fn own_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<OwnMasks>> {
     let found = |source: &dyn ProposalGenerator| {
         let out = arguments.out.join("segmentation").join(source.name());
         let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
-        Ok(OwnMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
+        Ok(UnoSegMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
     };
     sources.iter().map(|source| found(source.as_ref())).collect()
 }

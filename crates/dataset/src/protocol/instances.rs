@@ -12,7 +12,7 @@ const TARGET: (f64, f64) = (0.1, 150.0);
 const REFERENCE: (f64, f64) = (0.7, 900.0);
 
 /// An annotated instance.
-pub struct Seen {
+pub struct AnnotatedInstance {
     pub scene_id: u32,
     pub im_id: u32,
     pub instance: usize,
@@ -28,7 +28,7 @@ pub struct Seen {
     scene: Arc<PathBuf>,
 }
 
-impl Seen {
+impl AnnotatedInstance {
     pub fn can_be_target(&self) -> bool {
         self.passes(TARGET)
     }
@@ -57,8 +57,8 @@ impl Seen {
 }
 
 /// All annotated instances of a split, by scene and image.
-pub fn seen_instances(split: &BopSplit) -> Result<Vec<Seen>, FormatError> {
-    let mut seen = Vec::new();
+pub fn annotated_instances(split: &BopSplit) -> Result<Vec<AnnotatedInstance>, FormatError> {
+    let mut found = Vec::new();
     for &scene_id in split.scene_ids() {
         let scene = split.scene(scene_id)?;
         let Some(first) = scene.image_ids().next() else { continue };
@@ -66,38 +66,38 @@ pub fn seen_instances(split: &BopSplit) -> Result<Vec<Seen>, FormatError> {
         let size = scene.image_size(first)?;
         let folder = Arc::new(scene.folder.clone());
         for im_id in scene.image_ids() {
-            seen.extend(seen_in_image(&scene, im_id, size, &folder)?);
+            found.extend(instances_in_image(&scene, im_id, size, &folder)?);
         }
     }
-    Ok(seen)
+    Ok(found)
 }
 
 /// The most visible instance of every target.
-pub fn seen_targets(split: &BopSplit, targets: &[Target]) -> Result<Vec<Seen>, FormatError> {
-    let mut seen = Vec::new();
+pub fn target_instances(split: &BopSplit, targets: &[Target]) -> Result<Vec<AnnotatedInstance>, FormatError> {
+    let mut found = Vec::new();
     for target in targets {
         let scene = split.scene(target.scene_id)?;
         let size = scene.image_size(target.im_id)?;
-        let instances = seen_in_image(&scene, target.im_id, size, &Arc::new(scene.folder.clone()))?;
+        let instances = instances_in_image(&scene, target.im_id, size, &Arc::new(scene.folder.clone()))?;
         let (best, _) = scene.most_visible(target.im_id, target.obj_id)?;
-        seen.extend(instances.into_iter().nth(best));
+        found.extend(instances.into_iter().nth(best));
     }
-    Ok(seen)
+    Ok(found)
 }
 
-fn seen_in_image(
+fn instances_in_image(
     scene: &BopScene,
     im_id: u32,
     (width, height): (u32, u32),
     folder: &Arc<PathBuf>,
-) -> Result<Vec<Seen>, FormatError> {
+) -> Result<Vec<AnnotatedInstance>, FormatError> {
     let (width, height) = (width as i32, height as i32);
     let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
     let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
     instances
         .map(|(instance, (gt, info))| {
             let [x, y, w, h] = info.bbox_obj;
-            Ok(Seen {
+            Ok(AnnotatedInstance {
                 scene_id: scene.id,
                 im_id,
                 instance,

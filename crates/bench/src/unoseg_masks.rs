@@ -1,4 +1,4 @@
-//! Our own segmentation as rows of a table, one per source of proposals.
+//! Masks found by UNOSeg as rows of a table, one per source of proposals.
 
 use std::path::PathBuf;
 
@@ -10,9 +10,9 @@ use super::{
     section::Section,
 };
 
-/// Masks found by [`unopose_segment::segment`] with one source of proposals.
+/// Masks found by [`unopose_segment::segment_targets`] with one source of proposals.
 #[derive(Clone, Debug, Serialize)]
-pub struct OwnMasks {
+pub struct UnoSegMasks {
     /// Names of the proposal generator and of the matcher.
     pub proposals: String,
     pub matcher: String,
@@ -24,7 +24,7 @@ pub struct OwnMasks {
 }
 
 /// Accuracy and time, rounded.
-pub(crate) fn section(masks: &[OwnMasks]) -> Section {
+pub(crate) fn section(masks: &[UnoSegMasks]) -> Section {
     let columns = [
         "proposals",
         "matcher",
@@ -35,7 +35,7 @@ pub(crate) fn section(masks: &[OwnMasks]) -> Section {
         "proposals per image",
         "s per image",
     ];
-    let row = |OwnMasks { proposals, matcher, scores: s, .. }: &OwnMasks| {
+    let row = |UnoSegMasks { proposals, matcher, scores: s, .. }: &UnoSegMasks| {
         vec![
             proposals.clone(),
             matcher.clone(),
@@ -51,7 +51,7 @@ pub(crate) fn section(masks: &[OwnMasks]) -> Section {
 }
 
 /// Accuracy and time, unrounded.
-pub(crate) fn csv(masks: &[OwnMasks]) -> Section {
+pub(crate) fn csv(masks: &[UnoSegMasks]) -> Section {
     let columns = [
         "proposals",
         "matcher",
@@ -64,7 +64,7 @@ pub(crate) fn csv(masks: &[OwnMasks]) -> Section {
         "seconds_per_image",
         "proposal_seconds_per_image",
     ];
-    let row = |OwnMasks { proposals, matcher, scores: s, .. }: &OwnMasks| {
+    let row = |UnoSegMasks { proposals, matcher, scores: s, .. }: &UnoSegMasks| {
         vec![
             proposals.clone(),
             matcher.clone(),

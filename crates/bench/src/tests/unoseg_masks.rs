@@ -12,7 +12,7 @@ use unopose_pairs::registration::Refinement;
 use super::{super::*, Shift, write_dataset};
 
 #[test]
-fn own_masks_are_a_table_of_the_page() {
+fn unoseg_masks_are_a_table_of_the_page() {
     let folder = tempfile::tempdir().unwrap();
     let list = write_dataset(folder.path());
     let (root, out) = (folder.path().join("ycbv"), folder.path().join("out"));
@@ -22,7 +22,7 @@ fn own_masks_are_a_table_of_the_page() {
     let targets = [1, 2].map(|im_id| Target { scene_id: 1, im_id, obj_id: 1, inst_count: 1 });
     let seconds: [&[f64]; 2] = [&[0.5, 1.5], &[0.25, 0.25]];
     let scores = score_segmentation(&list.split, &targets, found, found, seconds).unwrap();
-    let row = |proposals: &str| OwnMasks {
+    let row = |proposals: &str| UnoSegMasks {
         proposals: proposals.into(),
         matcher: "checkpoint".into(),
         scores: scores.clone(),
@@ -33,15 +33,15 @@ fn own_masks_are_a_table_of_the_page() {
         split: None,
         reference_split: None,
         targets: Some(root.join("targets.json")),
-        segmentation: Segmentation::Own(row("embedded")),
+        detections: DetectionSource::UnoSeg(row("embedded")),
         limit: None,
         seed: 5,
         rendered: false,
     };
     let PreparedList { mut facts, list } = request.prepare(&[Protocol::Rot50], &out).unwrap().remove(0);
-    assert_eq!((facts.segmentation.as_str(), facts.own_masks.len()), ("unoseg (embedded)", 1));
+    assert_eq!((facts.segmentation.as_str(), facts.unoseg_masks.len()), ("unoseg (embedded)", 1));
     assert_eq!((list.detections.len(), facts.mask_map), (1, None));
-    facts.own_masks.push(row("listed-fastsam"));
+    facts.unoseg_masks.push(row("listed-fastsam"));
     let methods = [Method { estimator: Box::new(Shift { asked: AtomicUsize::new(0) }), switches: None }];
     let suite = Suite {
         methods: &methods,
