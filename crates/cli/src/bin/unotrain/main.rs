@@ -3,6 +3,7 @@
 mod progress;
 
 use std::{
+    io::Write as _,
     path::{Path, PathBuf},
     process::ExitCode,
     sync::Arc,
@@ -29,6 +30,10 @@ struct Arguments {
     /// Change a configuration value, for example `--set train.steps=2000`. Repeatable.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     overrides: Vec<String>,
+    /// Print the configuration with all defaults and changes as TOML, a comment with meaning, unit, allowed values and
+    /// default before every key, and exit.
+    #[arg(long)]
+    print_config: bool,
     /// Run folder [default: runs/<name>].
     #[arg(long)]
     out: Option<PathBuf>,
@@ -47,7 +52,7 @@ struct Arguments {
     /// Delete an earlier run in the folder.
     #[arg(long)]
     fresh: bool,
-    /// Save and leave when the run has taken this many steps.
+    /// Save and exit when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
     /// auto, flex, ndarray, wgpu or cuda.
@@ -78,6 +83,9 @@ fn main() -> ExitCode {
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {
     let config = load(&arguments.config, &arguments.overrides)?;
+    if arguments.print_config {
+        return Ok(print(&config.to_commented_toml()?)?);
+    }
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
     }
@@ -119,6 +127,14 @@ fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
         Some(name) if !path.is_file() => Config::embedded(name, overrides)?,
         _ => Config::load(path, overrides)?,
     })
+}
+
+/// Prints a long text; a reader that has seen enough (`| head`) is no error.
+fn print(text: &str) -> std::io::Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
+    }
 }
 
 fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
