@@ -15,7 +15,9 @@ use unopose_eval::report::overlay;
 use unopose_infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder};
 use unopose_segment::{AnyMatcher, UnoSeg};
 
-use super::{options::EstimatorOptions, progress::Progress, proposals::ProposalOptions, segment::find_masks};
+use super::{
+    options::EstimatorOptions, progress::ProgressDisplay, proposals::ProposalOptions, segment::find_masks,
+};
 
 /// Colours of the instances' points.
 const COLORS: [Rgb<u8>; 6] = [
@@ -85,7 +87,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
     let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
 
-    let progress = Progress::new("estimating");
+    let progress = ProgressDisplay::new("estimating");
     let mut failed = Vec::new();
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());

@@ -3,7 +3,6 @@
 mod progress;
 
 use std::{
-    io::Write as _,
     path::{Path, PathBuf},
     process::ExitCode,
     sync::Arc,
@@ -12,9 +11,10 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Parser;
+use unopose_cli::{DeviceOption, print_text};
 use unopose_core::{config::Config, explain};
 use unopose_eval::report::Table;
-use unopose_nn::device::{DeviceChoice, keep_freed_memory};
+use unopose_nn::device::keep_freed_memory;
 use unopose_train::{Interrupt, StopReason, TrainOptions, TrainOutcome, train};
 
 use progress::ProgressBars;
@@ -55,9 +55,8 @@ struct Arguments {
     /// Save and exit when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
-    /// auto, flex, ndarray, wgpu or cuda.
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
     /// Threads of the CPU backend and of data preparation [default: one per core].
     #[arg(long)]
     threads: Option<usize>,
@@ -84,7 +83,7 @@ fn main() -> ExitCode {
 fn run(arguments: Arguments) -> anyhow::Result<()> {
     let config = load(&arguments.config, &arguments.overrides)?;
     if arguments.print_config {
-        return Ok(print(&config.to_commented_toml()?)?);
+        return Ok(print_text(&config.to_commented_toml()?)?);
     }
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
@@ -93,7 +92,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         .minutes
         .map(|minutes| Duration::try_from_secs_f64(60.0 * minutes).context("--minutes"))
         .transpose()?;
-    let (device, backend) = arguments.device.open()?;
+    let (device, backend) = arguments.device.choice().open()?;
     let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
     let interrupt = Arc::new(Interrupt::default());
     let signalled = interrupt.clone();
@@ -127,14 +126,6 @@ fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
         Some(name) if !path.is_file() => Config::embedded(name, overrides)?,
         _ => Config::load(path, overrides)?,
     })
-}
-
-/// Prints a long text; a reader that has seen enough (`| head`) is no error.
-fn print(text: &str) -> std::io::Result<()> {
-    match std::io::stdout().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error),
-        _ => Ok(()),
-    }
 }
 
 fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
