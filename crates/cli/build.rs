@@ -6,8 +6,7 @@ fn main() {
     println!("cargo::rerun-if-env-changed=UNOPOSE_SHARED");
     println!("cargo::rustc-check-cfg=cfg(has_shared)");
     let folder = std::env::var("UNOPOSE_SHARED").unwrap_or_else(|_| "../../../shared".into());
-    if let Ok(folder) = std::fs::canonicalize(folder) {
+    if std::fs::exists(folder).unwrap_or(false) {
         println!("cargo::rustc-cfg=has_shared");
-        println!("cargo::rustc-env=UNOPOSE_SHARED_FOLDER={}", folder.display());
     }
 }

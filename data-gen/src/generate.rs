@@ -1,12 +1,13 @@
 //! `unogen` without a subcommand: making a set.
 
 use std::{
+    io::Write as _,
     ops::Range,
     path::{Path, PathBuf},
     sync::Mutex,
 };
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use unopose_core::config::{Config, SynthCameraConfig, SynthConfig};
@@ -26,11 +27,16 @@ pub struct Arguments {
     /// Any field of the [synth] part, for example camera.distance=[0.5,1.0], bins=0.5 or mesh_size=megapose.
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+    /// Print the [synth] part with all defaults and changes as TOML, a comment with meaning, unit and default before every
+    /// key, and exit. The output is a file for --config.
+    #[arg(long)]
+    print_config: bool,
+    /// Seed of the whole set [default: that of the configuration, 0 for presets].
     #[arg(long)]
     seed: Option<u64>,
     /// Folder to fill.
-    #[arg(long)]
-    out: PathBuf,
+    #[arg(long, required_unless_present = "print_config")]
+    out: Option<PathBuf>,
     /// Remove what an earlier generation wrote there first.
     #[arg(long)]
     overwrite: bool,
@@ -44,9 +50,10 @@ pub struct Arguments {
     /// Unit of the meshes in metres, 0.001 for millimetres.
     #[arg(long)]
     mesh_scale: Option<f32>,
-    /// Image size.
+    /// Image width instead of the configuration's, pixels.
     #[arg(long)]
     width: Option<u32>,
+    /// Image height instead of the configuration's, pixels.
     #[arg(long)]
     height: Option<u32>,
     /// Layout of the set: training shards, or a test set with targets and references.
@@ -123,22 +130,26 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         bail!("--overwrite would remove the shards of other machines; leave out --shards");
     }
     let config = configuration(arguments)?;
+    if arguments.print_config {
+        return print(&config.to_commented_toml()?);
+    }
+    let out = arguments.out.as_deref().context("--out is missing")?;
     if arguments.overwrite {
-        unopose_synth::remove_generated(&arguments.out)?;
+        unopose_synth::remove_generated(out)?;
     }
     let started = std::time::Instant::now();
     let bar = Bar::default();
     let report = |progress: GenerationProgress| bar.show(progress);
     let summary = match arguments.shards.clone() {
-        _ if arguments.format == Format::Bop => unopose_synth::generate_bop(&config, &arguments.out, &report),
-        Some(shards) => unopose_synth::generate_shards(&config, &arguments.out, shards, &report),
-        None => unopose_synth::generate(&config, &arguments.out, &report),
+        _ if arguments.format == Format::Bop => unopose_synth::generate_bop(&config, out, &report),
+        Some(shards) => unopose_synth::generate_shards(&config, out, shards, &report),
+        None => unopose_synth::generate(&config, out, &report),
     }?;
     let seconds = started.elapsed().as_secs_f64();
     let rate = summary.images_written as f64 / seconds.max(1e-9);
     println!(
         "{}: {} images in {} parts written, {} parts kept, {seconds:.1} s ({rate:.1} images/s)",
-        arguments.out.display(),
+        out.display(),
         summary.images_written,
         summary.shards_written,
         summary.shards_kept,
@@ -150,25 +161,33 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         );
     }
     if let Some(file) = &arguments.contact_sheet {
-        draw_samples(arguments, file)?;
+        draw_samples(arguments.format, out, file)?;
         println!("contact sheet: {}", file.display());
     }
     Ok(())
 }
 
-fn draw_samples(arguments: &Arguments, file: &Path) -> Result<()> {
+fn draw_samples(format: Format, set: &Path, file: &Path) -> Result<()> {
     const SHAPE: [u32; 2] = [3, 6];
-    if arguments.format == Format::Megapose {
-        let dataset = ShardDataset::open(&arguments.out)?;
+    if format == Format::Megapose {
+        let dataset = ShardDataset::open(set)?;
         let load = |i: usize| dataset.load(i as u32);
         return Ok(unopose_synth::contact_sheet(dataset.image_keys().len(), &load, file, SHAPE)?);
     }
-    let split = BopDataset::open(&arguments.out)?.test_split()?;
+    let split = BopDataset::open(set)?.test_split()?;
     let mut images = Vec::new();
     for &scene in split.scene_ids() {
         images.extend(split.scene(scene)?.image_ids().map(|image| (scene, image)));
     }
     Ok(unopose_synth::contact_sheet(images.len(), &|i| split.load(images[i].0, images[i].1), file, SHAPE)?)
+}
+
+/// Prints a long text; a reader that has seen enough (`| head`) is no error.
+fn print(text: &str) -> Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
 }
 
 /// One progress bar per stage, fed from several threads.

@@ -6,6 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use unopose_core::config::Config;
 use unopose_nn::checkpoint::TensorFile;
 use unopose_train::{Event, Journal};
 
@@ -54,6 +55,19 @@ fn a_killed_run_goes_on_from_its_checkpoint_and_ends_like_one_that_was_not() {
         "{}",
         text(&third)
     );
+}
+
+#[test]
+fn the_printed_configuration_is_the_one_of_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let more = ["--set", "model.overlap=off", "--print-config"];
+    let output = unotrain(folder.path(), "run", &more).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    let printed = folder.path().join("printed.toml");
+    std::fs::write(&printed, &output.stdout).unwrap();
+    let overrides = ["train.steps=80", "train.checkpoint_seconds=0.2", "model.overlap=off"].map(String::from);
+    assert_eq!(Config::load(&printed, &[]).unwrap(), Config::embedded("smoke", &overrides).unwrap());
+    assert!(!folder.path().join("run").exists() && !folder.path().join("data").exists());
 }
 
 #[test]

@@ -14,7 +14,7 @@ use unopose_nn::{
 };
 
 fn fixtures() -> PathBuf {
-    Path::new(option_env!("UNOPOSE_SHARED_FOLDER").unwrap()).join("fixtures")
+    unopose_tests::shared("fixtures")
 }
 
 fn unoinfer(arguments: &[&str]) -> Output {

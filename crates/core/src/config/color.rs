@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Colour features per point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Encoder of the colour crop, from which each point takes its colour feature.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ColorConfig {
-    /// DINOv2-style vision transformer with linear up-sampling to a quarter of the crop's resolution.
+    /// DINOv2-style vision transformer with learned up-sampling to a quarter of the crop's resolution.
     Vit(VitConfig),
     /// Small trainable convolutional encoder, sampled at the points on three levels.
     Conv {
@@ -25,35 +26,40 @@ pub enum ColorConfig {
 }
 
 /// Vision transformer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct VitConfig {
+    /// Channels of a token.
     pub embed_dim: usize,
+    /// Transformer blocks. The features of the last block and of three earlier ones are used.
     pub depth: usize,
+    /// Attention heads per block.
     pub heads: usize,
+    /// Side of a square patch, pixels of the crop.
     pub patch_size: usize,
+    /// Register tokens beside the class token. 0: none, as in the first DINOv2 weights.
     pub register_tokens: usize,
-    /// The position embedding has no entry for the class token (timm's register variants).
+    /// The position embedding has no entry for the class token, as in timm's variants with registers.
     pub no_embed_class: bool,
     /// Channels of the up-sampled feature map.
     pub out_dim: usize,
-    /// DINOv2 backbone to begin training with: safetensors or PyTorch file in the naming of Meta, timm or Hugging Face.
-    /// A checkpoint holds the transformer's weights and does not need this file.
+    /// File of DINOv2 weights that training starts from: safetensors or PyTorch, in the naming of Meta, timm or Hugging
+    /// Face. Unset: random weights. A checkpoint holds the transformer's weights and does not need this file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
-    /// How the position embedding of `weights` comes to this network's number of patches.
+    /// How the position embedding of `weights` is resampled to this network's number of patches.
     pub position_resampling: PositionResampling,
-    /// Do not train the transformer (the up-sampling is always trained).
+    /// Keep the transformer's weights fixed in training. The up-sampling is always trained.
     pub freeze: bool,
 }
 
 /// Resampling of a backbone's position embedding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PositionResampling {
-    /// As the distributor of the file does it.
+    /// As the publisher of the file does it.
     Source,
-    /// As the release of UNOPose does it with every file: bicubic, no antialias.
+    /// As the release of UNOPose does it with every file: bicubic without antialiasing.
     Release,
 }
 

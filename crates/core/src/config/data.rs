@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Pairs of views. Defaults are the release's (`docs/network.md`, section 8).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DataConfig {
     /// Folder of MegaPose-style shards to train on. Unset: synthetic data, generated when absent.
@@ -14,54 +15,56 @@ pub struct DataConfig {
     /// Folder of shards to validate on. Unset: synthetic data, generated when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub validation: Option<PathBuf>,
-    /// Smallest visible share of a query instance.
+    /// Smallest visible share of a query instance's silhouette.
     pub min_visible_fraction: f32,
-    /// Fewest visible pixels of an instance, query or reference. The default suits 640 x 480; a quarter of it suits
-    /// 320 x 240. Index files beside the shards may list fewer instances than this admits.
+    /// Fewest visible pixels of an instance, query or reference. The default suits images of 640 x 480, a quarter of it
+    /// images of 320 x 240. Index files beside the shards may list fewer instances than this admits.
     pub min_visible_pixels: u32,
-    /// Smallest visible share of a reference instance (at least 0.8, the share dataset indices list).
+    /// Smallest visible share of a reference instance's silhouette. Index files of datasets list instances from 0.8.
     pub min_reference_visible_fraction: f32,
-    /// Largest rotation between the two views, degrees, symmetries taken off. 180: any.
+    /// Largest rotation between the two views up to the object's symmetries, degrees. 180: any.
     pub max_rotation_deg: f64,
     /// Smallest share of query points with a reference point within `overlap_distance`. 0: any.
     pub min_overlap: f64,
-    /// Distance that counts as overlap for `min_overlap`, radii.
+    /// Distance that counts as overlap for `min_overlap`, object radii.
     pub overlap_distance: f32,
-    /// Memory for decoded images, MiB. 0: decode for every draw.
+    /// Memory for decoded images, MiB. 0: images are decoded for every draw.
     pub cache_mib: usize,
+    /// Random changes of training pairs.
     pub augmentation: AugmentationConfig,
+    /// Noise that turns the true pose into the initial pose of the fine stage in training.
     pub pose_noise: PoseNoiseConfig,
 }
 
 /// Random changes of training pairs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AugmentationConfig {
     /// Probability of the colour changes, per crop.
     pub color_probability: f64,
     /// Probability that the query's mask is dilated.
     pub dilation_probability: f64,
-    /// Dilations with a 3 x 3 cross.
+    /// Number of dilations of the query's mask with a 3 x 3 cross. 0: none.
     pub dilation_iterations: usize,
-    /// Rotate the reference cloud randomly.
+    /// Rotate the reference cloud by a random rotation.
     pub rotate_reference: bool,
-    /// Largest shift of the query cloud per axis, metres; part of the label.
+    /// Largest shift of the query cloud per axis, metres. The label follows the shift.
     pub query_shift: f64,
-    /// Standard deviation of the noise on every query point and axis, metres.
+    /// Standard deviation of the noise of every query point per axis, metres.
     pub query_noise: f64,
 }
 
 /// Noise that turns the true pose into the initial pose of the fine stage in training.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PoseNoiseConfig {
-    /// One of these standard deviations per axis is drawn for every 8 samples, degrees.
+    /// Standard deviations of the rotation per axis, degrees. One of them is drawn for every 8 samples.
     pub rotation_std_deg: Vec<f64>,
     /// Rotations are clipped at this angle per axis, degrees.
     pub max_rotation_deg: f64,
-    /// Standard deviation of the translation per axis, radii.
+    /// Standard deviation of the translation per axis, object radii.
     pub translation_std: f64,
-    /// Translations are clipped at this distance per axis, radii.
+    /// Translations are clipped at this distance per axis, object radii.
     pub max_translation: f64,
 }
 

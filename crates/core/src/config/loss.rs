@@ -1,24 +1,26 @@
 //! Weights and thresholds of the training losses.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The training loss: per stage and block InfoNCE + overlap + saliency.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LossConfig {
-    /// Matches farther than this are background in InfoNCE, radii. The paper gives no such distance; a large one is none.
+    /// Pairs of points farther apart than this are background in InfoNCE, object radii. The paper gives no such distance; a
+    /// large value switches it off.
     pub match_distance: f32,
-    /// A point overlaps when the other cloud has a point at most this far, radii.
+    /// A point overlaps when the other cloud has a point at most this far away, object radii.
     pub overlap_distance: f32,
-    /// The two directions of InfoNCE are averaged (release) rather than summed (paper).
+    /// Average the two directions of InfoNCE as the release does (true), or sum them as in the paper (false).
     pub halve_info_nce: bool,
-    /// Weight of the saliency terms (the paper has none: 0).
+    /// Weight of the saliency terms. 0: none, as in the paper.
     pub saliency_weight: f32,
     /// Weight of the overlap terms.
     pub overlap_weight: f32,
-    /// Weight of the soft correspondence loss (CoFiNet), the paper's alternative to the overlap predictor.
+    /// Weight of the soft correspondence loss (CoFiNet), the paper's alternative to the overlap predictor. 0: none.
     pub correspondence_weight: f32,
-    /// The loss of one pair is clamped here.
+    /// Largest loss of one pair; larger losses are clamped.
     pub clamp: f32,
 }
 

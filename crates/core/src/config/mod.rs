@@ -1,10 +1,14 @@
 //! The one configuration tree (TOML).
 //!
 //! [`Config::load`] reads a file that holds only what differs from the defaults, applies `--set a.b=c` overrides and
-//! checks every range; [`Config::to_toml`] writes the complete, resolved tree. Unknown keys are errors that name the
-//! file, the line and the nearest valid key.
+//! checks every range; [`Config::to_toml`] writes the complete, resolved tree and [`Config::to_commented_toml`] explains
+//! every key of it. Unknown keys are errors that name the file, the line and the nearest valid key.
+//!
+//! The fields' doc comments are the programs' documentation of the configuration: each says meaning, unit and special
+//! values. The ranges that are checked stand in `validate.rs`.
 
 mod color;
+mod commented;
 mod data;
 mod error;
 mod load;
@@ -14,6 +18,7 @@ mod official;
 mod overrides;
 mod precision;
 mod quirks;
+mod schema;
 mod synth;
 mod train;
 mod validate;
@@ -32,21 +37,28 @@ pub use quirks::Quirks;
 pub use synth::{MeshLayout, MeshSize, SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Everything a run depends on, apart from the data's content and the machine.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// Name of the run: results go to `runs/<name>`.
+    /// Name of the run. Results go to `runs/<name>`, generated data to `data/<name>`.
     pub name: String,
-    /// Seed of every random stream: data, initial weights, sampling.
+    /// Seed of the initial weights, the choice of pairs, their augmentation and all sampling. Generated data depend on
+    /// `synth.seed` instead.
     pub seed: u64,
-    /// The training set when `data.train` names none; the validation set is a smaller one of other objects.
+    /// The generated training set, used when `data.train` names none. The generated validation set is a smaller one of
+    /// other objects.
     pub synth: SynthConfig,
+    /// Which pairs of views are drawn from the data, and how they are augmented.
     pub data: DataConfig,
+    /// The network and the preparation of its inputs.
     pub model: ModelConfig,
+    /// Terms of the training loss.
     pub loss: LossConfig,
+    /// Optimisation, its schedule, validation and checkpoints.
     pub train: TrainConfig,
 }
 

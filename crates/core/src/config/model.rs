@@ -1,103 +1,113 @@
 //! Sizes and switches of the network.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ColorConfig, Quirks, VitConfig};
 
 /// The network and the preparation of its inputs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelConfig {
-    /// Side of the square, masked colour crop in pixels.
+    /// Side of the square, masked colour crop, pixels.
     pub image_size: usize,
     /// Reference points sampled before farthest point sampling.
     pub reference_points: usize,
-    /// Reference points farther from the median point than this many median distances are dropped before sampling:
-    /// one stray depth pixel at a silhouette would stretch the radius, the unit of everything. 0: none are, as in
-    /// the release.
+    /// Reference points farther from the median point than this many median distances are dropped before sampling. One
+    /// stray depth pixel at a silhouette would otherwise stretch the object's radius, which all lengths are divided by. 0:
+    /// none are dropped, as in the release.
     pub reference_reach: f32,
     /// Points per cloud in the fine stage (N_f).
     pub fine_points: usize,
     /// Points per cloud in the coarse stage (N_c).
     pub coarse_points: usize,
+    /// Encoder of the colour crop.
     pub color: ColorConfig,
+    /// Geometric structure embedding, shared by both matching stages.
     pub geo_embedding: GeoEmbeddingConfig,
+    /// The coarse matching stage, on `coarse_points` per cloud.
     pub coarse: MatchingConfig,
+    /// The fine matching stage, on `fine_points` per cloud.
     pub fine: FineConfig,
-    /// Structure embedding from the global reference frame (true) or from the camera-frame cloud (false).
+    /// Compute the structure embedding in the global reference frame (true) or in the camera frame (false).
     pub use_grf: bool,
     /// Run the fine stage; without it the coarse pose is the answer.
     pub use_fine: bool,
     /// How overlap scores weigh the matches.
     pub overlap: OverlapMode,
+    /// Search of the coarse pose.
     pub hypotheses: HypothesisConfig,
+    /// Behaviours of the release to reproduce.
     pub quirks: Quirks,
 }
 
 /// Geometric structure embedding (GeoTransformer).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeoEmbeddingConfig {
-    /// Distance unit, radii.
+    /// Distance that counts as one unit in the sinusoids, object radii.
     pub sigma_d: f32,
-    /// Angle unit, degrees.
+    /// Angle that counts as one unit in the sinusoids, degrees.
     pub sigma_a: f32,
     /// Neighbours per point for the triplet angles.
     pub angle_k: usize,
-    /// Width, equal to the width of both matching stages.
+    /// Channels, equal to those of both matching stages.
     pub hidden_dim: usize,
     /// How the two linear maps of the sinusoids are evaluated.
     pub evaluation: EmbeddingEvaluation,
 }
 
 /// Evaluation of `proj(sinusoid(x))` for every pair of points.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EmbeddingEvaluation {
     /// Sinusoid and linear map per entry, as the release does.
     Exact,
-    /// Linear interpolation in a table of the mapped sinusoid, rebuilt from the weights in every forward pass.
+    /// Linear interpolation in a table of the mapped sinusoid, which is made from the weights in every forward pass.
     Table,
 }
 
 /// One matching stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MatchingConfig {
+    /// Transformer blocks, each of self-attention and cross-attention.
     pub blocks: usize,
+    /// Attention heads per layer.
     pub heads: usize,
-    /// Width of the transformer.
+    /// Channels of the transformer.
     pub hidden_dim: usize,
-    /// Width of the matching features.
+    /// Channels of the matching features.
     pub out_dim: usize,
-    /// Softmax temperature of the cosine similarity.
+    /// Softmax temperature of the cosine similarity, without unit.
     pub temperature: f32,
 }
 
-/// The fine stage's additions.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The fine matching stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FineConfig {
+    /// Sizes that the fine stage has in common with the coarse one.
     pub matching: MatchingConfig,
-    /// Radii of the two ball queries of the positional encoding, in radii.
+    /// Radii of the two ball queries of the positional encoding, object radii.
     pub pe_radii: [f32; 2],
-    /// Neighbours per ball.
+    /// Neighbours per ball query.
     pub pe_samples: [usize; 2],
-    /// Channels of the positional encoding's three layers, for each of the two balls.
+    /// Channels of the positional encoding's three layers, the same for both ball queries.
     pub pe_channels: [usize; 3],
-    /// Local-reference-frame coordinates in the positional encoding (with the offsets).
+    /// Give the positional encoding the neighbours' coordinates in local reference frames, besides their offsets.
     pub use_lrf: bool,
     /// Exponent of the focused linear attention.
     pub focusing_factor: f32,
 }
 
 /// Use of the predicted overlap in the assignment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OverlapMode {
-    /// Row softmax x column softmax x both overlap scores.
+    /// Product of row softmax, column softmax and both overlap scores.
     Release,
-    /// One softmax over the similarities of overlap-weighted features (paper, "overlap-aware correlation matrix"); the
+    /// One softmax over the similarities of overlap-weighted features, the paper's "overlap-aware correlation matrix". The
     /// background's overlap is predicted and trained towards 0.
     Paper,
     /// No overlap heads.
@@ -105,28 +115,28 @@ pub enum OverlapMode {
 }
 
 /// Coarse pose from sampled correspondence triplets.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct HypothesisConfig {
-    /// Sampled triplets.
+    /// Sampled triplets of matches.
     pub proposals: usize,
-    /// Triplets kept by residual and scored against the cloud.
+    /// Triplets with the smallest residuals that are scored against the cloud.
     pub kept: usize,
-    /// Exponent of the assignment when sampling.
+    /// Exponent of the assignment scores when matches are sampled.
     pub power: f32,
-    /// How the kept are scored.
+    /// How the kept triplets are scored.
     pub score: HypothesisScore,
 }
 
 /// Score of a hypothesis; the best one starts the fine stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HypothesisScore {
     /// Matched sparse query points over the sum of their distances to the sparse reference points (paper and release).
     #[default]
     Distance,
-    /// Share of the dense query points that lie on the reference times that of the reference's on the query, each point
-    /// weighed by its distance.
+    /// Share of the dense query points that lie on the reference, times the share of the dense reference points that lie on
+    /// the query. Each point is weighted by its distance.
     MutualFit,
 }
 

@@ -2,18 +2,19 @@
 
 use std::{fmt, str::FromStr};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What the colour network and the matching stages compute in. The structure embedding's sinusoids, the positional
 /// encoding with its batch statistics, similarities and losses are single precision in any case.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
-    /// Single precision: the reference tensors' bounds hold.
+    /// Single precision. Results stay within the bounds of the reference tensors.
     #[default]
     F32,
-    /// 8 bits of mantissa: half the memory and faster products on GPUs that have them. Training keeps its weights, their
-    /// average and Adam's moments in single precision.
+    /// bfloat16: half the memory, and faster products on GPUs that support it. Training keeps its weights, their average and
+    /// Adam's moments in single precision.
     Bf16,
 }
 

@@ -1,35 +1,37 @@
 //! The release's quirks, one switch each (`docs/network.md`, section 10).
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Behaviours of the official release that differ from what it means to compute. `true` reproduces the release
 /// (its weights need that), `false` is the corrected form.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Quirks {
-    /// Reference frame coordinates are gathered with the indices of another point order.
+    /// The reference's coordinates in its global frame are gathered with the indices of another point order.
     pub misaligned_reference_grf: bool,
     /// The sparse tokens of the fine stage are those of the previous dense point.
     pub sparse_off_by_one: bool,
-    /// Coarse overlap scores of the reference start at the reference's count.
+    /// The coarse overlap scores of both clouds are split at the reference's number of points. Corrected: at the query's.
     pub score_split_at_reference: bool,
     /// The translation of the noisy training pose is clamped to z >= 1e-6.
     pub clamp_noisy_translation: bool,
-    /// Clouds stay in their camera frames (false: each is centred on its own mean).
+    /// Clouds stay in their camera frames. Corrected: each is centred on its own mean.
     pub uncentred_clouds: bool,
-    /// The sign of a frame's z axis comes from counting points beyond 1e-3 on both sides (false: sign of the sum of cubes).
+    /// The sign of a frame's z axis comes from counting points beyond 1e-3 on both sides. Corrected: the sign of the sum of
+    /// cubes.
     pub counted_z_sign: bool,
-    /// Hypothesis triplets may repeat points or be collinear.
+    /// Triplets of the coarse pose's hypotheses may repeat points or be collinear.
     pub degenerate_triplets: bool,
-    /// Training rotates the reference by three uniform Euler angles (false: uniform on SO(3)).
+    /// Training rotates the reference by three uniform Euler angles. Corrected: uniformly on SO(3).
     pub euler_reference_rotation: bool,
     /// Masked reference and training pixels without depth become the point (0, 0, 0).
     pub keep_zero_depth: bool,
-    /// The reference may come from the query's image; symmetric objects get no special labels.
+    /// The reference may come from the query's image, and labels ignore the symmetries of objects.
     pub same_image_reference: bool,
     /// BatchNorm of the positional encoding counts padded neighbours.
     pub batchnorm_counts_padding: bool,
-    /// The axes of local frames count padded neighbours: of a sparse neighbourhood they follow one neighbour.
+    /// The axes of local frames count padded neighbours, so that in a sparse neighbourhood they follow one neighbour.
     pub local_frames_count_padding: bool,
 }
 

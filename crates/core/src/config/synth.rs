@@ -2,66 +2,72 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A generated data set. Every file is a function of this alone.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SynthConfig {
     /// Seed of objects, scenes, cameras and noise.
     pub seed: u64,
-    /// Images in the whole set.
+    /// Images in the whole set, at least 1.
     pub images: usize,
-    /// Images per shard (a multiple of `views_per_scene` wastes nothing).
+    /// Images per shard, at least 1. A multiple of `views_per_scene` wastes nothing.
     pub images_per_shard: usize,
-    /// Distinct objects.
+    /// Distinct objects in the set, at least 1.
     pub objects: usize,
-    /// Objects that the scenes of one shard draw from; keeps every object in many images.
+    /// Objects that the scenes of one shard draw from, at least 1. Few objects per shard show each of them in many images.
     pub objects_per_shard: usize,
-    /// Image size in pixels.
+    /// Image width, 16 to 8192 pixels.
     pub width: u32,
+    /// Image height, 16 to 8192 pixels.
     pub height: u32,
-    /// Colour samples per pixel in each direction.
+    /// Colour samples per pixel in each direction, 1 to 8.
     pub supersampling: u32,
-    /// Rays per pixel that gather light from other surfaces: better shading at several times the cost. 0: the sky's
-    /// light with soft shadows.
+    /// Rays per pixel that gather light from other surfaces, at most 1024: better shading at several times the cost. 0: the
+    /// sky's light with soft shadows.
     pub indirect_rays: u32,
+    /// Images of one scene from different viewpoints, at least 1.
     pub views_per_scene: usize,
-    /// Fewest and most objects dropped in a scene.
+    /// Fewest and most annotated objects dropped in a scene, at least 1.
     pub objects_per_scene: [usize; 2],
-    /// Fewest and most further objects that are not annotated.
+    /// Fewest and most further objects in a scene, which are not annotated. 0 and 0: none.
     pub distractors: [usize; 2],
-    /// Shares of scenes in an open bin and on a shelf; the others are on a table.
+    /// Share of scenes in an open bin, 0 to 1. Scenes neither in a bin nor on a shelf are on a table.
     pub bins: f32,
+    /// Share of scenes on a shelf, 0 to 1. `bins` and `shelves` together are at most 1.
     pub shelves: f32,
-    /// Folder with pictures (jpg, png; searched recursively) for walls, floors and tables; empty: procedural ones.
+    /// Folder with pictures (jpg, png; searched recursively) for walls, floors and tables. Empty: procedural pictures.
     pub background_folder: PathBuf,
-    /// Smallest and largest object diameter, metres, log-uniform.
+    /// Smallest and largest diameter of procedural objects, metres above 0. Drawn log-uniformly.
     pub diameter: [f32; 2],
-    /// Side of an object's texture map, pixels.
+    /// Side of an object's texture map, 32 to 8192 pixels.
     pub texture_size: u32,
-    /// Share of objects of plain colour.
+    /// Share of procedural objects of plain colour, 0 to 1.
     pub textureless: f32,
-    /// Share of scenes frozen while the objects still tumble.
+    /// Share of scenes that are frozen while the objects still tumble, 0 to 1.
     pub tumbling: f32,
-    /// Folder with meshes (ply, obj, stl, glb; searched recursively) used besides the procedural objects; empty: none.
+    /// Folder with meshes (ply, obj, stl, glb; searched recursively) to use besides the procedural objects. Empty: none.
     pub mesh_folder: PathBuf,
     /// Which files of `mesh_folder` are objects.
     pub mesh_layout: MeshLayout,
-    /// Unit of the meshes in `mesh_folder`, metres.
+    /// Unit of the meshes in `mesh_folder`, metres above 0: 0.001 for millimetres.
     pub mesh_scale: f32,
-    /// How large these objects are.
+    /// How large the objects from `mesh_folder` are.
     pub mesh_size: MeshSize,
-    /// Share of objects taken from `mesh_folder` when there is one.
+    /// Share of objects taken from `mesh_folder` where one is given, 0 to 1.
     pub mesh_share: f32,
     /// Write the object meshes and `models_info.json` beside the shards.
     pub write_models: bool,
+    /// Where the cameras are.
     pub camera: SynthCameraConfig,
+    /// Errors of the depth and colour cameras. Lengths in pixels refer to an image 640 pixels wide.
     pub sensor: SensorConfig,
 }
 
 /// Layout of a folder of meshes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MeshLayout {
     /// One of the two known layouts if any of their files is there, else every mesh file.
@@ -76,83 +82,90 @@ pub enum MeshLayout {
 }
 
 /// Size of objects from files.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MeshSize {
-    /// As in the file; objects outside 2 cm .. 60 cm are brought to `diameter`.
+    /// As in the file. Objects outside 2 cm to 60 cm are scaled to a diameter drawn from `diameter`.
     #[default]
     Own,
-    /// As MegaPose has them: the sphere around the centred object has a radius of 10 cm; ShapeNet's normalised
-    /// coordinates are multiplied by 0.1 m.
+    /// As in MegaPose's data: the sphere around the centred object has a radius of 10 cm. ShapeNet's normalised coordinates
+    /// are multiplied by 0.1 m.
     #[serde(rename = "megapose")]
     MegaPose,
 }
 
 /// Where the cameras are.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SynthCameraConfig {
-    /// Distance to the pile, metres, log-uniform.
+    /// Smallest and largest distance to the pile of objects, metres above 0. Drawn log-uniformly.
     pub distance: [f32; 2],
-    /// Elevation above the table, degrees.
+    /// Lowest and highest elevation above the table, degrees from 0 to 90. Bins are seen from steeper angles, shelves from
+    /// flatter ones.
     pub elevation_deg: [f32; 2],
-    /// Standard deviation of the roll, degrees; a tenth of the views have any roll.
+    /// Standard deviation of the roll, degrees. A tenth of the views have any roll.
     pub roll_deg: f32,
-    /// Share of the image's shorter side that the pile fills.
+    /// Smallest and largest share of the image's shorter side that the pile of objects fills. Above 1: it is cut off.
     pub fill: [f32; 2],
-    /// Shortest and longest focal length in image widths.
+    /// Shortest and longest focal length, image widths.
     pub focal: [f32; 2],
 }
 
 /// Depth and colour camera errors. Lengths in pixels refer to an image 640 pixels wide.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SensorConfig {
-    /// Without it depth and colour are noise-free.
+    /// Simulate the cameras' errors. Without them depth and colour are free of noise.
     pub enabled: bool,
-    /// Shares of scenes seen by a stereo and by a time-of-flight depth camera; the others by structured light.
+    /// Share of scenes seen by a stereo depth camera, 0 to 1. Scenes seen neither by stereo nor by time of flight are seen by
+    /// a structured-light camera.
     pub stereo: f32,
+    /// Share of scenes seen by a time-of-flight depth camera, 0 to 1. `stereo` and `time_of_flight` together are at most 1.
     pub time_of_flight: f32,
-    /// Baseline of the depth sensor, metres: depth noise is z^2 / (focal x baseline) x disparity noise.
+    /// Smallest and largest baseline of the depth camera, metres. Depth noise is disparity noise times depth squared over
+    /// focal length and baseline.
     pub baseline: [f32; 2],
-    /// Standard deviation of the disparity noise at three correlation lengths (2, 5 and 30 px).
+    /// Standard deviations of the disparity noise at correlation lengths of 2, 5 and 30 pixels, pixels.
     pub disparity_noise: [f32; 3],
-    /// The disparity noise is multiplied by a factor drawn per scene, log-uniform.
+    /// Smallest and largest factor on the depth noise, above 0. Drawn log-uniformly per scene.
     pub noise_gain: [f32; 2],
-    /// Disparity steps per pixel; 0: not quantised.
+    /// Disparity steps per pixel. 0: disparity is not quantised.
     pub disparity_steps: f32,
-    /// Time of flight: standard deviation at 30 % reflectance, constant and per squared metre of distance, metres.
+    /// Time of flight: standard deviation of depth at 30 % reflectance, metres, and its increase per squared metre of
+    /// distance, metres.
     pub tof_noise: [f32; 2],
-    /// Time of flight: largest systematic error (wiggling, and dark against bright surfaces), metres.
+    /// Time of flight: largest systematic error, metres, of wiggling with the distance and of dark against bright surfaces.
     pub tof_offset: f32,
-    /// Standard deviation of the displacement of depth edges.
+    /// Standard deviation of the displacement of depth edges, pixels.
     pub edge_jitter: f32,
-    /// Share of pixels lost beside depth edges.
+    /// Share of pixels lost beside depth edges, 0 to 1.
     pub edge_loss: f32,
-    /// Pixels are lost more and more below this cosine between normal and viewing ray.
+    /// Cosine between normal and viewing ray below which pixels are lost, increasingly towards grazing angles, 0 to 1.
     pub grazing_cos: f32,
-    /// Share of pixels lost on very dark surfaces and in highlights.
+    /// Share of pixels lost on very dark surfaces, 0 to 1.
     pub dark_loss: f32,
+    /// Share of pixels lost in highlights, 0 to 1.
     pub shiny_loss: f32,
-    /// Share of pixels lost anywhere.
+    /// Share of pixels lost anywhere, 0 to 1.
     pub speckle_loss: f32,
-    /// Share of edge pixels with a depth between foreground and background.
+    /// Share of edge pixels with a depth between foreground and background, 0 to 1.
     pub flying: f32,
     /// Nearest and farthest depth, metres.
     pub range: [f32; 2],
-    /// Largest shift between colour and depth.
+    /// Largest shift between colour and depth per axis, pixels.
     pub misalignment: f32,
-    /// Standard deviation of the colour noise at mid grey, 8-bit levels.
+    /// Standard deviation of the colour noise at mid grey, levels of 255.
     pub color_noise: f32,
-    /// Largest standard deviation of the colour blur.
+    /// Largest standard deviation of the colour blur, pixels.
     pub blur: f32,
-    /// Mean image brightness after exposure, sRGB 0..1.
+    /// Lowest and highest mean brightness of an image after exposure, sRGB values from 0 to 1.
     pub brightness: [f32; 2],
-    /// Largest relative change of the red and blue gains.
+    /// Largest relative change of the red and blue gains, 0 to 1.
     pub white_balance: f32,
-    /// Largest relative change of gamma and saturation.
+    /// Largest relative change of gamma, contrast and saturation, 0 to 1. In 30 % of the images contrast
+    /// and saturation exceed it.
     pub tone: f32,
-    /// JPEG quality range.
+    /// Lowest and highest JPEG quality, 1 to 100.
     pub jpeg_quality: [u8; 2],
 }
 

@@ -1,48 +1,50 @@
 //! Optimisation, its schedule, and what a training run writes when.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Precision;
 
 /// The training loop. Defaults are the release's (`docs/network.md`, section 8).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
-    /// Optimizer steps of the whole run; the learning rate reaches zero at the last one.
+    /// Optimizer steps of the whole run. The learning rate reaches zero at the last one.
     pub steps: u64,
     /// Pairs per forward and backward pass.
     pub batch_size: usize,
-    /// Passes whose gradients are averaged into one optimizer step.
+    /// Forward and backward passes whose gradients are averaged into one optimizer step.
     pub accumulation: usize,
     /// Peak learning rate.
     pub learning_rate: f64,
-    /// Adam's decay of the first and second moment.
+    /// Adam's decay rates of the first and second moment.
     pub betas: [f32; 2],
-    /// Adam's denominator offset.
+    /// Number added to the denominator of Adam's update.
     pub epsilon: f32,
     /// Steps of linear warm-up.
     pub warmup_steps: u64,
     /// Share of the peak learning rate at step 0.
     pub warmup_factor: f64,
-    /// Largest global gradient norm; larger gradients are scaled down. 0: no clipping.
+    /// Largest global gradient norm. Larger gradients are scaled down. 0: no clipping.
     pub clip_norm: f64,
-    /// Decay of the exponential moving average of the weights, used for validation and `best`. 0: none.
+    /// Decay per step of the exponential moving average of the weights, which is validated and saved as the best weights.
+    /// 0: no average.
     pub ema_decay: f64,
-    /// Steps between validations; the first is before training, the last at its end.
+    /// Steps between validations. The first is before training, the last at its end.
     pub validate_every: u64,
-    /// Minutes between validations, when they come sooner than `validate_every`. 0: by steps only.
+    /// Minutes between validations, where that is sooner than `validate_every`. 0: by steps only.
     pub validate_minutes: f64,
-    /// Pairs in a validation.
+    /// Pairs per validation.
     pub validation_pairs: usize,
     /// Images of the generated validation set.
     pub validation_images: usize,
     /// Seconds between checkpoints of the whole training state.
     pub checkpoint_seconds: f64,
-    /// Number type of the products; weights and optimizer state are single precision in any case.
+    /// Number type of the network's products. Weights and optimizer state are single precision in any case.
     pub precision: Precision,
     /// Threads that prepare pairs. 0: one per core.
     pub workers: usize,
-    /// Batches prepared ahead.
+    /// Batches that are prepared ahead.
     pub prefetch: usize,
 }
 

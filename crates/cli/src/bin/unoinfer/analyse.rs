@@ -7,7 +7,7 @@ use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_infer::PoseCriterion;
 
-use super::{calibrate::describe, options::EstimatorOptions, progress::Progress};
+use super::{calibrate::describe, options::EstimatorOptions, progress::ProgressDisplay};
 
 #[derive(Args)]
 pub struct AnalyseArguments {
@@ -46,7 +46,7 @@ pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
         limit: arguments.limit,
     })?;
     let estimator = arguments.estimator.estimator()?;
-    let progress = Progress::new("analysing");
+    let progress = ProgressDisplay::new("analysing");
     let right = estimator.calibration().map_or(PoseCriterion::DEFAULT, |calibration| calibration.right);
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();

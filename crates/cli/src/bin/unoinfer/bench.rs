@@ -12,17 +12,17 @@ use unopose_bench::{
     DetectionSource, INGREDIENTS, ListRequest, Method, Network, PreparedList, Suite, UnoSegMasks,
     run_sequence, sequence_table,
 };
+use unopose_cli::DeviceOption;
 use unopose_dataset::{
     formats::{BopDataset, PhoneSequence},
     protocol::{Protocol, REFERENCE_COUNTS},
 };
 use unopose_infer::{PoseEstimator, Refinement};
-use unopose_nn::device::DeviceChoice;
 use unopose_pairs::registration::{CLASSICAL_METHODS, classical_method};
 use unopose_segment::{AnyMatcher, Matcher, ProposalGenerator};
 
 use super::{
-    progress::Progress,
+    progress::ProgressDisplay,
     proposals::{EMBEDDED, check_sam_points, generator},
     segment_dataset::{DatasetFiles, segment_dataset},
 };
@@ -113,9 +113,8 @@ pub struct BenchArguments {
     /// A table of the networks with these ingredients as columns, separated by commas: grf, lrf, fine, overlap
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = INGREDIENTS)]
     ablation: Vec<String>,
-    /// Compute device of the network: auto, flex, ndarray, wgpu or cuda
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
     /// Seed of the references' choice, the network's sampling and the confidence intervals
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -126,7 +125,7 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
     if matches!(arguments.protocol, ProtocolName::Sequence) {
         return sequence(arguments, &methods);
     }
-    let shown: Mutex<Option<(String, Progress)>> = Mutex::new(None);
+    let shown: Mutex<Option<(String, ProgressDisplay)>> = Mutex::new(None);
     let suite = Suite {
         methods: &methods,
         refinements: &arguments.refine,
@@ -208,7 +207,8 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
         sources => sources.iter().map(String::as_str).collect(),
     };
     check_sam_points(arguments.sam_points, &sources)?;
-    let sources = sources.into_iter().map(|source| generator(source, arguments.sam_points, arguments.device));
+    let device = arguments.device.choice();
+    let sources = sources.into_iter().map(|source| generator(source, arguments.sam_points, device));
     let sources: Vec<_> = sources.collect::<Result<_, _>>()?;
     let names: BTreeSet<String> = sources.iter().map(|source| source.name()).collect();
     if names.len() < sources.len() {
@@ -225,8 +225,8 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
         templates: None,
     };
     let estimator = match arguments.checkpoint.first() {
-        Some(path) => PoseEstimator::load(path, arguments.device)?,
-        None => PoseEstimator::load_default(arguments.device)?,
+        Some(path) => PoseEstimator::load(path, device)?,
+        None => PoseEstimator::load_default(device)?,
     }
     .with_seed(arguments.seed);
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
@@ -259,13 +259,13 @@ fn protocols(arguments: &BenchArguments) -> Vec<Protocol> {
 }
 
 /// One bar at a time, a new one when the label changes.
-fn show(shown: &Mutex<Option<(String, Progress)>>, label: &str, done: usize, total: usize) {
+fn show(shown: &Mutex<Option<(String, ProgressDisplay)>>, label: &str, done: usize, total: usize) {
     let Ok(mut shown) = shown.lock() else { return };
     if shown.as_ref().is_none_or(|(current, _)| current != label) {
         if let Some((_, bar)) = shown.take() {
             bar.finish();
         }
-        *shown = Some((label.to_owned(), Progress::new(label)));
+        *shown = Some((label.to_owned(), ProgressDisplay::new(label)));
     }
     if let Some((_, bar)) = shown.as_ref() {
         bar.set(done, total);
@@ -291,7 +291,7 @@ fn methods(arguments: &BenchArguments) -> anyhow::Result<Vec<Method>> {
         let paths: Vec<_> = arguments.checkpoint.iter().map(|path| Some(path.as_path())).collect();
         let paths = if paths.is_empty() { vec![None] } else { paths };
         for path in &paths {
-            let network = Network::load(*path, arguments.device, arguments.seed, paths.len() > 1)?;
+            let network = Network::load(*path, arguments.device.choice(), arguments.seed, paths.len() > 1)?;
             let switches = Some(network.switches());
             methods.push(Method { estimator: Box::new(network), switches });
         }

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
+use unopose_cli::DeviceOption;
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
-use unopose_nn::{checkpoint, device::DeviceChoice};
+use unopose_nn::checkpoint;
 
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 
 #[derive(Args)]
 pub struct CalibrateArguments {
@@ -32,9 +33,8 @@ pub struct CalibrateArguments {
     /// Folder for reliability.svg, risk.svg and reliability.json of the pairs of the fit
     #[arg(long, value_name = "DIR", default_value = "calibration")]
     out: PathBuf,
-    /// Compute device: auto, flex, ndarray, wgpu or cuda
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
@@ -49,8 +49,8 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     })?;
     // Before the work: a file that cannot carry a calibration is refused.
     checkpoint::read_meta(&arguments.checkpoint)?;
-    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device)?;
-    let progress = Progress::new("calibrating");
+    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?;
+    let progress = ProgressDisplay::new("calibrating");
     let right = PoseCriterion::DEFAULT;
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();

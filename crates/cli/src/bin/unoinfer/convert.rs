@@ -2,11 +2,11 @@
 
 use std::{
     fmt::Write as _,
-    io::Write as _,
     path::{Path, PathBuf},
 };
 
 use clap::{Args, ValueEnum};
+use unopose_cli::print_text;
 use unopose_nn::{
     checkpoint::{self, Backbone, OfficialState, TensorFile},
     device::DeviceChoice,
@@ -99,11 +99,7 @@ pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
             writeln!(out, "{name} {:?}", t.shape())?;
         }
     }
-    // A reader that has seen enough (`| head`) is no error.
-    match std::io::stdout().write_all(out.as_bytes()) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
+    Ok(print_text(&out)?)
 }
 
 /// Conversions and stored tensors that nothing reads, a line each.

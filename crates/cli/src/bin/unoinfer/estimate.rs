@@ -1,9 +1,6 @@
 //! `unoinfer estimate`.
 
-use std::{
-    borrow::Cow,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -13,9 +10,11 @@ use unopose_core::{explain, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::files::write_json;
 use unopose_eval::report::overlay;
 use unopose_infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder};
-use unopose_segment::{AnyMatcher, UnoSeg};
+use unopose_segment::AnyMatcher;
 
-use super::{options::EstimatorOptions, progress::Progress, proposals::ProposalOptions, segment::find_masks};
+use super::{
+    mask_finder::MaskFinder, options::EstimatorOptions, progress::ProgressDisplay, proposals::ProposalOptions,
+};
 
 /// Colours of the instances' points.
 const COLORS: [Rgb<u8>; 6] = [
@@ -83,25 +82,21 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let (reference, view) = reference(arguments, &estimator)?;
     let generator = arguments.proposals.generator(arguments.estimator.device())?;
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
-    let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
+    let finder = match (queries.iter().any(|(_, files)| files.masks.is_empty()), &view) {
+        (false, _) => None,
+        (true, Some(View { frame, masks })) => {
+            let masked = MaskedView { frame, mask: masks.first().context("--reference-mask is missing")? };
+            Some(MaskFinder::new(generator.as_ref(), &matcher, masked)?)
+        }
+        (true, None) => bail!("--query-mask is missing: a kept reference has no image to find the object by"),
+    };
 
-    let progress = Progress::new("estimating");
+    let progress = ProgressDisplay::new("estimating");
     let mut failed = Vec::new();
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
-        let found = match (files.masks.is_empty(), &view) {
-            (false, _) => Ok(Cow::Borrowed(files)),
-            (true, Some(view)) => {
-                let masked = MaskedView { frame: &view.frame, mask: &view.masks[0] };
-                find_masks(&unoseg, masked, files, &out).map(Cow::Owned)
-            }
-            (true, None) => {
-                bail!("--query-mask is missing: a kept reference has no image to find the object by")
-            }
-        };
-        let estimated = found.and_then(|files| estimate_view(&estimator, &reference, &files, &out));
-        if let Err(error) = estimated {
+        if let Err(error) = estimate_query(&estimator, &reference, finder.as_ref(), files, &out) {
             // One bad query of a folder does not stop the others.
             if queries.len() == 1 {
                 return Err(error);
@@ -155,13 +150,31 @@ fn queries(arguments: &EstimateArguments) -> anyhow::Result<Vec<(Option<String>,
     Ok(vec![(None, files)])
 }
 
-fn estimate_view(
+/// Reads a query and estimates its instances, those that `finder` finds where no masks are given.
+fn estimate_query(
     estimator: &PoseEstimator,
     reference: &Reference,
+    finder: Option<&MaskFinder<'_>>,
     files: &ViewFiles,
     out: &Path,
 ) -> anyhow::Result<()> {
     let view = files.read()?;
+    match finder {
+        Some(finder) if view.masks.is_empty() => {
+            let (view, files) = finder.complete(view, files, out)?;
+            estimate_view(estimator, reference, &view, &files, out)
+        }
+        _ => estimate_view(estimator, reference, &view, files, out),
+    }
+}
+
+fn estimate_view(
+    estimator: &PoseEstimator,
+    reference: &Reference,
+    view: &View,
+    files: &ViewFiles,
+    out: &Path,
+) -> anyhow::Result<()> {
     let results = estimator.estimate(reference, &view.frame, &view.masks);
     let best =
         results.iter().filter_map(|result| result.as_ref().ok()).max_by(|a, b| a.score.total_cmp(&b.score));
@@ -174,7 +187,7 @@ fn estimate_view(
         bail!("{}", reasons.join("; "));
     };
     write_json(&out.join("pose.json"), &record(estimator, reference, files, &results, best), true)?;
-    overlay::write_png(&out.join("overlay.png"), &drawn(reference, &view, &results))?;
+    overlay::write_png(&out.join("overlay.png"), &drawn(reference, view, &results))?;
     for (i, result) in results.iter().enumerate() {
         match result {
             Ok(estimate) => println!("{}", line(files, i, estimate)),

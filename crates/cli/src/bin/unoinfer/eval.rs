@@ -13,7 +13,7 @@ use unopose_segment::AnyMatcher;
 
 use super::{
     options::EstimatorOptions,
-    progress::Progress,
+    progress::ProgressDisplay,
     proposals::ProposalOptions,
     score,
     segment_dataset::{DatasetFiles, segment_dataset},
@@ -106,7 +106,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         limit: arguments.limit,
     })?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
-    let progress = Progress::new("estimating");
+    let progress = ProgressDisplay::new("estimating");
     let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
         progress.set(done, total)
     })?;
@@ -116,7 +116,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         refinement => format!("unopose-{refinement}"),
     };
     let table = write_poses(&list, &poses, &method, &arguments.out)?;
-    let progress = Progress::new("scoring");
+    let progress = ProgressDisplay::new("scoring");
     let show = |done, total| progress.set(done, total);
     let evaluation = score_poses(&list, &poses, arguments.score_targets.as_deref(), &show)?;
     progress.finish();

@@ -6,6 +6,7 @@ mod calibrate;
 mod convert;
 mod estimate;
 mod eval;
+mod mask_finder;
 mod options;
 mod progress;
 mod proposals;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use unopose_cli::DeviceOption;
 use unopose_core::config::Precision;
 use unopose_infer::{InferError, PoseEstimator, Refinement};
 use unopose_nn::device::DeviceChoice;
@@ -14,9 +15,8 @@ pub struct EstimatorOptions {
     /// ones]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Compute device: auto, flex, ndarray, wgpu or cuda
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
     /// Number type of the network's products: f32, or bf16 (for GPUs)
     #[arg(long, default_value_t)]
     precision: Precision,
@@ -41,13 +41,13 @@ fn probability(text: &str) -> Result<f64, String> {
 impl EstimatorOptions {
     /// For other networks than the estimator's.
     pub fn device(&self) -> DeviceChoice {
-        self.device
+        self.device.choice()
     }
 
     pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
         let estimator = match &self.checkpoint {
-            Some(path) => PoseEstimator::load(path, self.device)?,
-            None => PoseEstimator::load_default(self.device)?,
+            Some(path) => PoseEstimator::load(path, self.device())?,
+            None => PoseEstimator::load_default(self.device())?,
         };
         Ok(estimator
             .with_precision(self.precision)?

@@ -10,14 +10,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 const LINE_EVERY: Duration = Duration::from_secs(20);
 
 /// A bar with rate and time left, usable from any thread.
-pub struct Progress {
+pub struct ProgressDisplay {
     label: String,
     bar: ProgressBar,
     start: Instant,
     last_line: Mutex<Instant>,
 }
 
-impl Progress {
+impl ProgressDisplay {
     pub fn new(label: impl Into<String>) -> Self {
         let label = label.into();
         let bar = ProgressBar::new(0);

@@ -18,7 +18,7 @@ use unopose_eval::eval::{
     coco_detections, coco_ground_truth, coco_map, error_type_intervals, score_files,
 };
 
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 
 #[derive(Args)]
 pub struct ScoreArguments {
@@ -67,7 +67,7 @@ fn poses(arguments: &ScoreArguments, results: &Path) -> anyhow::Result<()> {
         references: arguments.references.clone(),
         reference_split: arguments.reference_split.clone(),
     };
-    let progress = Progress::new("scoring");
+    let progress = ProgressDisplay::new("scoring");
     let evaluation = score_files(&files, &|done, total| progress.set(done, total))?;
     progress.finish();
     if let Some(folder) = &arguments.out {

@@ -16,9 +16,10 @@ use unopose_dataset::formats::{
 };
 use unopose_eval::report::overlay;
 use unopose_infer::ViewFiles;
-use unopose_segment::{AnyMatcher, ImageSegmentation, Matcher, Prompt, Proposal, SegmentError, UnoSeg};
+use unopose_segment::{AnyMatcher, Prompt, Proposal};
 
 use super::{
+    mask_finder::{MaskFinder, not_found},
     options::EstimatorOptions,
     proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
@@ -106,13 +107,10 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         let mask = view.masks.first().context("no reference mask")?;
         let estimator = arguments.estimator.estimator()?;
         let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
-        let unoseg = UnoSeg { generator: generator.as_ref(), matcher: &matcher };
-        let object = matcher.object(&[MaskedView { frame: &view.frame, mask }])?;
-        let found = unoseg.segment(&frame, None, &[&object])?;
-        let instances = instances(&matcher, &found);
-        if instances.is_empty() {
-            return Err(not_found(&path, found.proposals.len()));
-        }
+        let reference = MaskedView { frame: &view.frame, mask };
+        let finder = MaskFinder::new(generator.as_ref(), &matcher, reference)?;
+        let found = finder.find(&frame, &path)?;
+        let instances: Vec<_> = found.instances.iter().map(|(proposal, score)| (proposal, *score)).collect();
         return write(&arguments.out, &frame, &instances, found.seconds);
     }
     if arguments.descriptor.is_some() {
@@ -130,7 +128,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();
     if proposals.is_empty() {
-        return Err(not_found(&path, 0));
+        return Err(not_found(&path, 0).into());
     }
     let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
     write(&arguments.out, &frame, &all, seconds)
@@ -181,17 +179,6 @@ fn prompt(arguments: &SegmentArguments) -> anyhow::Result<Option<Prompt>> {
     })
 }
 
-/// Confident detections, or the best one.
-fn instances<'a, M: Matcher>(matcher: &M, found: &'a ImageSegmentation) -> Vec<(&'a Proposal, f64)> {
-    let confident = found.assignments.iter().take_while(|a| a.score > matcher.instance_score()).count();
-    let best = found.assignments.iter().take(confident.max(1));
-    best.filter_map(|a| Some((found.proposals.get(a.proposal)?, a.score))).collect()
-}
-
-fn not_found(image: &Path, proposals: usize) -> anyhow::Error {
-    SegmentError::NotFound { image: image.display().to_string(), proposals }.into()
-}
-
 /// `masks.json` in the form of detections and `masks.png`, the masks on the image.
 fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64) -> anyhow::Result<()> {
     let list: Vec<_> = masks.iter().map(|(p, score)| p.detection(0, 0, 0, *score, seconds)).collect();
@@ -205,32 +192,4 @@ fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64
     }
     println!("{} masks in {seconds:.3} s: {} and masks.png", masks.len(), out.join("masks.json").display());
     Ok(())
-}
-
-/// The masks of the reference's object in a query view, written to `OUT/mask_N.png`.
-pub fn find_masks(
-    unoseg: &UnoSeg<'_, impl Matcher>,
-    reference: MaskedView,
-    files: &ViewFiles,
-    out: &Path,
-) -> anyhow::Result<ViewFiles> {
-    let view = files.read()?;
-    if view.frame.depth.data.iter().all(|z| !(z.is_finite() && *z > 0.0)) {
-        let expected = "at least one measured pixel";
-        return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
-    }
-    let object = unoseg.matcher.object(&[reference])?;
-    let found = unoseg.segment(&view.frame, None, &[&object])?;
-    let instances = instances(unoseg.matcher, &found);
-    if instances.is_empty() {
-        return Err(not_found(&files.rgb, found.proposals.len()));
-    }
-    let mut masks = Vec::new();
-    for (index, (proposal, score)) in instances.iter().enumerate() {
-        let path = out.join(format!("mask_{index}.png"));
-        write_mask(&path, &proposal.mask)?;
-        println!("{}: segmentation score {score:.3}, {:.3} s", path.display(), found.seconds);
-        masks.push(path);
-    }
-    Ok(ViewFiles { masks, ..files.clone() })
 }

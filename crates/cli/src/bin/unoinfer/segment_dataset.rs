@@ -10,7 +10,7 @@ use unopose_dataset::formats::{
 use unopose_eval::eval::{SegmentationScores, score_segmentation};
 use unopose_segment::{Matcher, ObjectViews, ProposalGenerator, Templates, UnoSeg, segment_targets};
 
-use super::progress::Progress;
+use super::progress::ProgressDisplay;
 
 /// Files of [`segment_dataset`].
 pub struct DatasetFiles {
@@ -45,7 +45,7 @@ pub fn segment_dataset<M: Matcher>(
     let mut targets = read_reference_targets(&files.targets)?;
     targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
     let unoseg = UnoSeg { generator, matcher };
-    let progress = Progress::new("segmenting");
+    let progress = ProgressDisplay::new("segmenting");
     let show = &mut |done, total| progress.set(done, total);
     let found = segment_targets(&unoseg, &targets, &split, &views, &out.join("images"), show)?;
     progress.finish();

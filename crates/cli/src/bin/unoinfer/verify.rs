@@ -5,11 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::Args;
 use unopose_bench::verify::{Kind, ReferenceTensors, Subject, Tolerances, fit_config, guess_config, verify};
+use unopose_cli::DeviceOption;
 use unopose_core::config::{Config, EmbeddingEvaluation, Quirks};
-use unopose_nn::{
-    checkpoint::{self, OfficialState},
-    device::DeviceChoice,
-};
+use unopose_nn::checkpoint::{self, OfficialState};
 
 #[derive(Args)]
 pub struct VerifyArguments {
@@ -27,9 +25,8 @@ pub struct VerifyArguments {
     /// 0.999}}
     #[arg(long, value_name = "JSON")]
     tolerances: Option<PathBuf>,
-    /// Compute device: auto, flex, ndarray, wgpu or cuda
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
@@ -38,7 +35,7 @@ pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
         Some(path) => Tolerances::with_file(path)?,
         None => Tolerances::built_in(),
     };
-    let (device, backend) = arguments.device.open()?;
+    let (device, backend) = arguments.device.choice().open()?;
     let tolerances = tolerances.for_backend(backend);
     let device = match Kind::of(&tensors)? {
         Kind::Evaluation => device,

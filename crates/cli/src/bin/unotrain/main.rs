@@ -11,9 +11,10 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Parser;
+use unopose_cli::{DeviceOption, print_text};
 use unopose_core::{config::Config, explain};
 use unopose_eval::report::Table;
-use unopose_nn::device::{DeviceChoice, keep_freed_memory};
+use unopose_nn::device::keep_freed_memory;
 use unopose_train::{Interrupt, StopReason, TrainOptions, TrainOutcome, train};
 
 use progress::ProgressBars;
@@ -29,6 +30,10 @@ struct Arguments {
     /// Change a configuration value, for example `--set train.steps=2000`. Repeatable.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     overrides: Vec<String>,
+    /// Print the configuration with all defaults and changes as TOML, a comment with meaning, unit, allowed values and
+    /// default before every key, and exit.
+    #[arg(long)]
+    print_config: bool,
     /// Run folder [default: runs/<name>].
     #[arg(long)]
     out: Option<PathBuf>,
@@ -47,12 +52,11 @@ struct Arguments {
     /// Delete an earlier run in the folder.
     #[arg(long)]
     fresh: bool,
-    /// Save and leave when the run has taken this many steps.
+    /// Save and exit when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
-    /// auto, flex, ndarray, wgpu or cuda.
-    #[arg(long, default_value = "auto")]
-    device: DeviceChoice,
+    #[command(flatten)]
+    device: DeviceOption,
     /// Threads of the CPU backend and of data preparation [default: one per core].
     #[arg(long)]
     threads: Option<usize>,
@@ -78,6 +82,9 @@ fn main() -> ExitCode {
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {
     let config = load(&arguments.config, &arguments.overrides)?;
+    if arguments.print_config {
+        return Ok(print_text(&config.to_commented_toml()?)?);
+    }
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
     }
@@ -85,7 +92,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         .minutes
         .map(|minutes| Duration::try_from_secs_f64(60.0 * minutes).context("--minutes"))
         .transpose()?;
-    let (device, backend) = arguments.device.open()?;
+    let (device, backend) = arguments.device.choice().open()?;
     let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
     let interrupt = Arc::new(Interrupt::default());
     let signalled = interrupt.clone();

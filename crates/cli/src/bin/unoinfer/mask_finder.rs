@@ -1,0 +1,75 @@
+//! The masks of one reference's object in query views, for `estimate` and `segment`.
+
+use std::path::Path;
+
+use unopose_core::frame::{MaskedView, RgbdFrame};
+use unopose_dataset::formats::{FormatError, image_io::write_mask};
+use unopose_infer::{View, ViewFiles};
+use unopose_segment::{AnyMatcher, AnyObject, Matcher, Proposal, ProposalGenerator, SegmentError, UnoSeg};
+
+/// UNOSeg with one reference, which is prepared once for all query views.
+pub struct MaskFinder<'a> {
+    unoseg: UnoSeg<'a, AnyMatcher<'a>>,
+    object: AnyObject,
+}
+
+/// The object's instances in an image.
+pub struct FoundMasks {
+    /// By descending score, at least one.
+    pub instances: Vec<(Proposal, f64)>,
+    /// Seconds that it took, proposals included.
+    pub seconds: f64,
+}
+
+impl<'a> MaskFinder<'a> {
+    pub fn new(
+        generator: &'a dyn ProposalGenerator,
+        matcher: &'a AnyMatcher<'a>,
+        reference: MaskedView,
+    ) -> Result<Self, SegmentError> {
+        let object = matcher.object(&[reference])?;
+        Ok(Self { unoseg: UnoSeg { generator, matcher }, object })
+    }
+
+    /// Confident detections, or the best one; `image` is for messages.
+    pub fn find(&self, frame: &RgbdFrame, image: &Path) -> Result<FoundMasks, SegmentError> {
+        let found = self.unoseg.segment(frame, None, &[&self.object])?;
+        let least = self.unoseg.matcher.instance_score();
+        let confident = found.assignments.iter().take_while(|a| a.score > least).count();
+        let best = found.assignments.iter().take(confident.max(1));
+        let instances: Vec<_> =
+            best.filter_map(|a| Some((found.proposals.get(a.proposal)?.clone(), a.score))).collect();
+        if instances.is_empty() {
+            return Err(not_found(image, found.proposals.len()));
+        }
+        Ok(FoundMasks { instances, seconds: found.seconds })
+    }
+
+    /// The query view with the masks that are found in it, which are written to `OUT/mask_N.png` as well.
+    pub fn complete(
+        &self,
+        mut view: View,
+        files: &ViewFiles,
+        out: &Path,
+    ) -> anyhow::Result<(View, ViewFiles)> {
+        if view.frame.depth.data.iter().all(|z| !(z.is_finite() && *z > 0.0)) {
+            let expected = "at least one measured pixel";
+            return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
+        }
+        let found = self.find(&view.frame, &files.rgb)?;
+        let mut masks = Vec::new();
+        for (index, (proposal, score)) in found.instances.into_iter().enumerate() {
+            let path = out.join(format!("mask_{index}.png"));
+            write_mask(&path, &proposal.mask)?;
+            println!("{}: segmentation score {score:.3}, {:.3} s", path.display(), found.seconds);
+            masks.push(path);
+            view.masks.push(proposal.mask);
+        }
+        Ok((view, ViewFiles { masks, ..files.clone() }))
+    }
+}
+
+/// The error of an image in which nothing is found.
+pub fn not_found(image: &Path, proposals: usize) -> SegmentError {
+    SegmentError::NotFound { image: image.display().to_string(), proposals }
+}
