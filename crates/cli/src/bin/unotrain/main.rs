@@ -35,7 +35,7 @@ struct Arguments {
     /// Folder of the generated data sets.
     #[arg(long, default_value = "data")]
     data: PathBuf,
-    /// End cleanly after this many minutes, data generation, validation and report included.
+    /// Stop cleanly after this many minutes, data generation, validation and report included.
     #[arg(long)]
     minutes: Option<f64>,
     /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
@@ -47,7 +47,7 @@ struct Arguments {
     /// Delete an earlier run in the folder.
     #[arg(long)]
     fresh: bool,
-    /// Save and leave when the run has taken this many steps.
+    /// Save and stop when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
     /// auto, flex, ndarray, wgpu or cuda.
@@ -131,6 +131,7 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
             StopReason::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
             StopReason::Interrupted =>
                 format!("interrupted after {step} of {} steps, saved", config.train.steps),
+            other => format!("stopped after {step} of {} steps: {other:?}", config.train.steps),
         }
     );
     let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
