@@ -47,7 +47,7 @@ struct Arguments {
     /// Delete an earlier run in the folder.
     #[arg(long)]
     fresh: bool,
-    /// Save and stop when the run has taken this many steps.
+    /// Save and exit when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
     /// auto, flex, ndarray, wgpu or cuda.
