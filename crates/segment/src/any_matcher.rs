@@ -9,13 +9,17 @@ use super::{DinoMatcher, DinoObject, GeometricMatcher, GeometricObject, Matcher,
 
 /// Any of the matchers.
 pub enum AnyMatcher<'a> {
+    /// By the pose network's own checkpoint.
     Geometric(GeometricMatcher<'a>),
+    /// By DINOv2 weights.
     Dino(Box<DinoMatcher>),
 }
 
-/// An object as one of them keeps it.
+/// What one of them keeps of an object.
 pub enum AnyObject {
+    /// Made by [`AnyMatcher::Geometric`].
     Geometric(Box<GeometricObject>),
+    /// Made by [`AnyMatcher::Dino`].
     Dino(DinoObject),
 }
 

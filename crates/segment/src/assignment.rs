@@ -3,7 +3,7 @@
 
 use unopose_core::frame::BoundingBox;
 
-use super::Proposal;
+use super::proposal::Proposal;
 
 /// Proposals of one object whose boxes overlap more than this are the same instance.
 const BOX_OVERLAP: f64 = 0.25;
@@ -13,8 +13,11 @@ const MIN_SCORE: f64 = 0.01;
 /// A proposal given to an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Assignment {
+    /// Index in the list of objects.
     pub object: usize,
+    /// Index in the list of proposals.
     pub proposal: usize,
+    /// The matcher's score of the pair, in [0, 1].
     pub score: f64,
 }
 

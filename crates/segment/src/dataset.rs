@@ -1,4 +1,4 @@
-//! The targets of a BOP dataset: detections of every image, kept per image so that an interrupted run goes on.
+//! The targets of a BOP dataset: detections of every image, kept per image so that an interrupted run can be resumed.
 
 use std::{
     collections::BTreeMap,
@@ -21,7 +21,9 @@ use super::{
 
 /// Everything found in the images of a target list.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct DatasetSegmentation {
+    /// The objects found, image by image, in each by descending score.
     pub detections: Vec<Detection>,
     /// All proposals; their category is 0.
     pub proposals: Vec<Detection>,

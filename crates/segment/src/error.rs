@@ -1,4 +1,4 @@
-//! Why there is no mask.
+//! Why an image or a reference cannot be segmented.
 
 use unopose_dataset::{formats::FormatError, mesh::MeshError};
 use unopose_infer::InferError;
@@ -6,23 +6,51 @@ use unopose_nn::{checkpoint::CheckpointError, device::DeviceError};
 
 /// Why an image or a reference cannot be segmented.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SegmentError {
+    /// The views of an object cannot describe it.
     #[error("unusable reference mask: {reason}")]
-    Reference { reason: String },
+    Reference {
+        /// What is wrong with its mask.
+        reason: String,
+    },
+    /// A point, a box or another input value cannot be used.
     #[error("{what} is {value}, expected {expected}")]
-    Prompt { what: &'static str, value: String, expected: String },
+    Prompt {
+        /// `point`, `box` or another name of the input.
+        what: &'static str,
+        /// The value met.
+        value: String,
+        /// The values accepted.
+        expected: String,
+    },
+    /// An image does not show the object.
     #[error("not found: {proposals} proposals in {image}{}", if *proposals > 0 { ", none is like the reference" } else { "" })]
-    NotFound { image: String, proposals: usize },
+    NotFound {
+        /// Path of the image.
+        image: String,
+        /// Candidate masks found in it.
+        proposals: usize,
+    },
+    /// An object was described by another kind of matcher.
     #[error("an object described by another matcher cannot be compared by {matcher}")]
-    OtherMatcher { matcher: String },
+    OtherMatcher {
+        /// Name of the matcher that was to compare it.
+        matcher: String,
+    },
+    /// Weights cannot be read or do not fit their network.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// The device cannot be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// A CAD model cannot be read.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// A file of a data set or a list of masks is malformed.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// A view cannot be prepared, or a result cannot be read from the device.
     #[error(transparent)]
     Infer(#[from] InferError),
 }

@@ -2,12 +2,16 @@
 
 use unopose_core::frame::RgbdFrame;
 
-use super::{ImageKey, Prompt, Proposal, SegmentError, select_by_prompt};
+use super::{
+    SegmentError,
+    prompt::{Prompt, select_by_prompt},
+    proposal::{ImageKey, Proposal},
+};
 
-/// Proposes masks of an image, best first, at most [`MAX_PROPOSALS`]. `image` says which image of a
-/// dataset it is, for generators that look results up.
+/// Proposes masks of an image, best first, at most [`crate::MAX_PROPOSALS`]. `image` says which image of a dataset it is,
+/// for generators that look results up.
 pub trait ProposalGenerator: Send + Sync {
-    /// Short, of letters, digits and dashes.
+    /// A short name of letters, digits and dashes, for tables and folders.
     fn name(&self) -> String;
 
     /// Everything that decides about the proposals besides the image.
@@ -15,6 +19,7 @@ pub trait ProposalGenerator: Send + Sync {
         self.name()
     }
 
+    /// The candidates of one image.
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError>;
 
     /// The mask that a point or a box means: one of the proposals, or their union.

@@ -1,10 +1,10 @@
 //! UNOSeg: where is the object of one reference view in another image?
 //!
 //! A [`ProposalGenerator`] finds candidate masks of everything in an image, a [`Matcher`] compares them with the objects
-//! looked for, [`assign`] turns the scores into detections; [`UnoSeg`] is the three together and [`segment_targets`] runs
-//! it on a target list. Without any downloaded weights these are [`RegionProposals`] and [`GeometricMatcher`];
-//! [`DinoMatcher`] compares by published DINOv2 weights, also with [`Templates`] of a CAD model.
-//! [`SamProposals`] takes published weights of Segment Anything.
+//! looked for, and every proposal goes to the object it scores best for; [`UnoSeg`] is the three steps together and
+//! [`segment_targets`] runs it on a target list. [`RegionProposals`] and [`GeometricMatcher`] need no downloaded weights.
+//! [`DinoMatcher`] compares by published DINOv2 weights, also with [`Templates`] of a CAD model; [`SamProposals`] takes
+//! published weights of Segment Anything.
 
 mod any_matcher;
 mod assignment;
@@ -25,7 +25,7 @@ mod templates;
 mod unoseg;
 
 pub use any_matcher::{AnyMatcher, AnyObject};
-pub use assignment::{Assignment, assign, box_iou, non_maximum_suppression};
+pub use assignment::Assignment;
 pub use dataset::{DatasetSegmentation, segment_targets};
 pub use dino::{DinoMatcher, DinoObject};
 pub use error::SegmentError;
@@ -34,7 +34,7 @@ pub use geometric::{GeometricMatcher, GeometricObject};
 pub use listed::ListedProposals;
 pub use matcher::Matcher;
 pub use objects::{ObjectKey, ObjectViews};
-pub use prompt::{Prompt, select_by_prompt};
+pub use prompt::Prompt;
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal};
 pub use region_merging::RegionProposals;
 pub use sam::SamProposals;

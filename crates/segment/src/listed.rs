@@ -23,6 +23,7 @@ pub struct ListedProposals {
 }
 
 impl ListedProposals {
+    /// Reads the list and takes its checksum.
     pub fn read(path: &Path) -> Result<Self, SegmentError> {
         let mut images: BTreeMap<ImageKey, Vec<Detection>> = BTreeMap::new();
         for detection in read_detections(path)? {

@@ -6,23 +6,23 @@ use super::{Proposal, SegmentError};
 
 /// Compares proposals with objects.
 pub trait Matcher: Sync {
-    /// An object as this matcher keeps it.
+    /// What this matcher keeps of an object.
     type Object: Send + Sync;
 
-    /// Short, of letters, digits and dashes.
+    /// A short name of letters, digits and dashes, for tables and folders.
     fn name(&self) -> String;
 
     /// Everything that decides about a score besides the images.
     fn fingerprint(&self) -> String;
 
-    /// Score above which each detection of an object is an instance of it; of an object that is nowhere scored so high, the
-    /// best detection is.
+    /// Detections of an object that score higher than this are instances of it. Where none does, only the best detection
+    /// is one.
     fn instance_score(&self) -> f64;
 
     /// Describes an object by its views: one reference, or templates of a model.
     fn object(&self, views: &[MaskedView]) -> Result<Self::Object, SegmentError>;
 
-    /// Scores in [0, 1], `[objects][proposals]`.
+    /// How much each proposal looks like each object, in [0, 1], `[objects][proposals]`.
     fn scores(
         &self,
         frame: &RgbdFrame,

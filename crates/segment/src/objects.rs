@@ -20,11 +20,23 @@ pub enum ObjectViews<'a> {
     Templates(&'a Templates<'a>),
 }
 
-/// The views of an object.
+/// Which views show an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ObjectKey {
-    Reference { scene_id: u32, im_id: u32, obj_id: u32 },
-    Model { obj_id: u32 },
+    /// The most visible instance of an object in a reference image.
+    Reference {
+        /// Scene of the reference image.
+        scene_id: u32,
+        /// The reference image in the scene.
+        im_id: u32,
+        /// The object.
+        obj_id: u32,
+    },
+    /// Templates of a CAD model.
+    Model {
+        /// The object.
+        obj_id: u32,
+    },
 }
 
 impl fmt::Display for ObjectKey {
@@ -93,6 +105,7 @@ pub struct ObjectCache<'a, M: Matcher> {
 }
 
 impl<'a, M: Matcher> ObjectCache<'a, M> {
+    /// No objects yet.
     pub fn new(matcher: &'a M, views: &'a ObjectViews<'a>) -> Self {
         Self { matcher, views, kept: BTreeMap::new(), unusable: BTreeMap::new() }
     }
@@ -123,6 +136,7 @@ impl<'a, M: Matcher> ObjectCache<'a, M> {
         }
     }
 
+    /// The objects whose views could not be used, with the reason.
     pub fn into_unusable(self) -> Vec<(ObjectKey, String)> {
         self.unusable.into_iter().collect()
     }

@@ -2,7 +2,7 @@
 
 use unopose_core::frame::{BoundingBox, Mask};
 
-use super::{Proposal, SegmentError, assignment::box_iou};
+use super::{SegmentError, assignment::box_iou, proposal::Proposal};
 
 /// A box around less than this of itself points at nothing.
 const MIN_BOX_OVERLAP: f64 = 0.3;
@@ -12,8 +12,9 @@ const INSIDE: f64 = 0.9;
 /// What the user points at, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Prompt {
-    /// Column and row.
+    /// Column and row of a pixel of the object.
     Point(u32, u32),
+    /// A box around the object.
     Box(BoundingBox),
 }
 
@@ -30,6 +31,7 @@ impl Prompt {
         if inside { Ok(()) } else { Err(self.refused(size())) }
     }
 
+    /// The error that names this prompt and what was expected instead.
     pub(super) fn refused(self, expected: String) -> SegmentError {
         let (what, value) = match self {
             Self::Point(col, row) => ("point", format!("{col},{row}")),

@@ -30,6 +30,7 @@ impl<'a> Templates<'a> {
     /// Numbers of templates: the vertices of an icosphere.
     pub const COUNTS: [usize; 3] = [12, 42, 162];
 
+    /// With `count` templates per object, one of [`Self::COUNTS`].
     pub fn new(dataset: &'a BopDataset, count: usize) -> Result<Self, SegmentError> {
         let subdivisions = Self::COUNTS.iter().zip(0..).find(|(n, _)| **n == count);
         let (_, subdivisions) = subdivisions.ok_or_else(|| SegmentError::Prompt {

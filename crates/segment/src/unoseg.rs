@@ -1,26 +1,33 @@
-//! The three steps together.
+//! Proposals, matching and assignment together.
 
 use std::time::Instant;
 
 use unopose_core::frame::RgbdFrame;
 
-use super::{Assignment, ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assign};
+use super::{
+    ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError,
+    assignment::{Assignment, assign},
+};
 
 /// A proposal generator with a matcher.
 pub struct UnoSeg<'a, M: Matcher> {
+    /// Finds the candidate masks.
     pub generator: &'a dyn ProposalGenerator,
+    /// Compares them with the objects.
     pub matcher: &'a M,
 }
 
 /// What was found in an image.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct ImageSegmentation {
-    /// Best first.
+    /// All candidate masks, best first.
     pub proposals: Vec<Proposal>,
-    /// By descending score; `object` is the index in the list of objects.
+    /// The proposals that are objects, by descending score.
     pub assignments: Vec<Assignment>,
-    /// Seconds of proposals and of both together.
+    /// Time of the proposals, seconds.
     pub proposal_seconds: f64,
+    /// Time of proposals, matching and assignment, seconds.
     pub seconds: f64,
 }
 

@@ -22,6 +22,7 @@ pub(super) struct Backgrounds {
 }
 
 impl Backgrounds {
+    /// Lists the photographs in `synth.background_folder` where one is configured.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
         let mut files = Vec::new();
         if !config.background_folder.as_os_str().is_empty() {

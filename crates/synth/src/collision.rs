@@ -7,8 +7,9 @@ use parry3d::transformation::{
 };
 use unopose_dataset::mesh::TriangleMesh;
 
-/// Directions in which a collision hull touches the mesh at least, as a whole and as one of several.
+/// Least number of directions in which the hull of an object touches the mesh.
 const HULL_DIRECTIONS: usize = 100;
+/// The same for each of several convex parts.
 const PART_DIRECTIONS: usize = 32;
 /// Vertices that stick out of the hull by more than this become part of it, metres.
 const HULL_TOLERANCE: f32 = 3e-4;

@@ -10,10 +10,12 @@ use unopose_dataset::formats::{
 
 use super::SynthError;
 
+/// The configuration of a generated folder.
 const CONFIG_FILE: &str = "generation.json";
 /// Version of everything that decides a set's content besides the configuration. Files of the first version do not
 /// name it.
 const GENERATOR: u64 = 3;
+/// Its entry for [`GENERATOR`].
 const GENERATOR_KEY: &str = "generator";
 
 /// The two kinds of sets.

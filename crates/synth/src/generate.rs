@@ -18,6 +18,7 @@ use super::{
     shard,
 };
 
+/// Part of the index files' names; readers of MegaPose's sets look for it.
 const SET_NAME: &str = "gso";
 
 /// Makes the whole set in `out`: shards, models, index files. Finished shards of an earlier run are kept, so that a

@@ -34,9 +34,7 @@ pub use contact_sheet::contact_sheet;
 pub use error::SynthError;
 pub use folder::remove_generated;
 pub use generate::{generate, generate_shards};
-pub use object::{ObjectLibrary, SynthObject};
 pub use progress::{GenerationProgress, GenerationSummary, Stage};
-pub use shapes::Family;
 
 #[cfg(test)]
 mod tests;

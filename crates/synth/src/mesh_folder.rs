@@ -29,6 +29,7 @@ pub(super) struct MeshFolder {
 }
 
 impl MeshFolder {
+    /// The meshes of `synth.mesh_folder`; none where no folder is configured.
     pub fn open(config: &SynthConfig) -> Result<Self, SynthError> {
         let mut files = Vec::new();
         if config.mesh_folder.as_os_str().is_empty() {
@@ -50,6 +51,7 @@ impl MeshFolder {
         Ok(Self { files, layout })
     }
 
+    /// Whether no folder is configured.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
     }
@@ -213,7 +215,7 @@ mod tests {
         ];
         let (_folder, config) = folder(&files);
         let config = SynthConfig { mesh_share: 1.0, texture_size: 32, ..config };
-        let library = crate::ObjectLibrary::new(&config).unwrap();
+        let library = crate::object::ObjectLibrary::new(&config).unwrap();
         let objects: Vec<_> = (1..=4).map(|id| library.build(id)).collect();
         assert_eq!(library.replaced(), 2);
         let named = |name: &str| objects.iter().find(|o| o.name.starts_with(name)).unwrap();

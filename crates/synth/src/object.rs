@@ -26,15 +26,18 @@ use super::{
 
 /// An object ready to be dropped and rendered.
 #[derive(Clone, Debug)]
-pub struct SynthObject {
+pub(super) struct SynthObject {
     /// 1-based.
     pub obj_id: u32,
+    /// Family or mesh file, with the id: `mug_000007`.
     pub name: String,
+    /// Metres, centred, with its texture.
     pub mesh: Arc<TriangleMesh>,
+    /// How its surface reflects light.
     pub finish: Finish,
     /// Symmetries that colour and shape share.
     pub symmetries: ObjectSymmetries,
-    /// Convex hull.
+    /// Corners of its convex hull, metres.
     pub hull: Vec<Point3<f32>>,
     /// Convex parts to collide with; empty where the hull is good enough.
     pub parts: Vec<Vec<Point3<f32>>>,
@@ -53,6 +56,7 @@ impl SynthObject {
         Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull, parts }
     }
 
+    /// Its entry in `models_info.json`.
     pub fn info(&self) -> ModelInfo {
         let bounds = self.mesh.bounds();
         ModelInfo {
@@ -66,7 +70,7 @@ impl SynthObject {
 
 /// Source of all objects of a set; an object depends only on the configuration and its id.
 #[derive(Clone, Debug)]
-pub struct ObjectLibrary {
+pub(super) struct ObjectLibrary {
     config: SynthConfig,
     folder: MeshFolder,
     /// Ids of objects whose mesh file could not be used.
@@ -74,6 +78,7 @@ pub struct ObjectLibrary {
 }
 
 impl ObjectLibrary {
+    /// Opens `synth.mesh_folder` where one is configured.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
         Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, replaced: Arc::default() })
     }

@@ -25,6 +25,7 @@ pub(super) struct ObjectCache {
 const DISTRACTORS_PER_SHARD: usize = 16;
 
 impl ObjectCache {
+    /// Opens the mesh and picture folders; nothing is built yet.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
         let (library, backgrounds) = (ObjectLibrary::new(config)?, Backgrounds::new(config)?);
         Ok(Self { library, backgrounds, built: HashMap::new() })

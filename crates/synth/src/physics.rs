@@ -7,6 +7,7 @@ use unopose_core::geometry::Pose;
 
 use super::{object::SynthObject, place::Place, random::Draw};
 
+/// Time step, seconds.
 const STEP: f32 = 1.0 / 120.0;
 /// Longest simulated time, seconds.
 const LONGEST: f32 = 2.5;

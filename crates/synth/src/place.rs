@@ -9,6 +9,7 @@ use unopose_dataset::render::{Block, Room, Surface};
 
 use super::{background::Backgrounds, random::Draw};
 
+/// What the objects lie on or in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Place {
     /// The visible table ends farther out than the objects lie.
@@ -82,6 +83,7 @@ impl Place {
         }
     }
 
+    /// Directions from which the objects can be seen, within the configured elevations (degrees).
     pub fn views(&self, elevation_deg: [f32; 2]) -> ViewZone {
         let [low, high] = elevation_deg;
         let around = [0.0, std::f32::consts::PI];
@@ -127,6 +129,7 @@ impl Place {
     }
 }
 
+/// Thickness of a table top, metres.
 const TABLE_THICKNESS: f32 = 0.03;
 
 fn table(reach: f32, backgrounds: &Backgrounds, rng: &mut ChaCha8Rng) -> Block {

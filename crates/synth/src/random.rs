@@ -6,11 +6,17 @@ use rand_chacha::ChaCha8Rng;
 /// What a stream is for; part of its seed.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Domain {
+    /// Size and shape of an object; the index is its id.
     Shape = 1,
+    /// Colours, prints and finish of an object; the index is its id.
     Look = 2,
+    /// Which objects a shard draws from; the index is the shard.
     Pool = 3,
+    /// Arrangement, light and surroundings; the index is the scene, counted over all shards.
     Scene = 4,
+    /// Camera, exposure and noise; the index is the view, counted over all scenes.
     View = 5,
+    /// Parameters of the depth camera; the index is the scene, counted over all shards.
     Sensor = 6,
 }
 
@@ -21,7 +27,7 @@ pub(super) fn stream(seed: u64, domain: Domain, index: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Short forms of the draws used everywhere in this crate.
+/// Short forms of the draws used throughout this crate.
 pub(super) trait Draw {
     /// Uniform in [low, high); `low` when the range is empty.
     fn between(&mut self, low: f32, high: f32) -> f32;
@@ -29,10 +35,13 @@ pub(super) trait Draw {
     fn log_between(&mut self, low: f32, high: f32) -> f32;
     /// Uniform integer in [low, high].
     fn count(&mut self, low: usize, high: usize) -> usize;
+    /// True with this probability.
     fn chance(&mut self, probability: f32) -> bool;
     /// Standard normal.
     fn normal(&mut self) -> f32;
+    /// One of the items, which must not be empty; all are equally likely.
     fn pick<'a, T>(&mut self, items: &'a [T]) -> &'a T;
+    /// Uniform on the unit sphere.
     fn unit_vector(&mut self) -> nalgebra::Vector3<f32>;
 }
 

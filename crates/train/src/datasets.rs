@@ -26,6 +26,7 @@ use super::{
 const VALIDATION_SEED: u64 = 1;
 const METRES_PER_MM: f32 = 1e-3;
 
+/// The opened sets.
 pub struct Datasets {
     training: Arc<ShardDataset>,
     validation: Arc<ShardDataset>,

@@ -15,6 +15,7 @@ pub fn update<M: Module>(average: M, model: &M, decay: f64, step: u64) -> M {
     average.map(&mut Blend { current: collect.0, decay })
 }
 
+/// The current weights and statistics by parameter.
 struct Collect(TensorContainer<ParamId>);
 
 impl ModuleVisitor for Collect {
@@ -23,6 +24,7 @@ impl ModuleVisitor for Collect {
     }
 }
 
+/// Blends them into the average.
 struct Blend {
     current: TensorContainer<ParamId>,
     decay: f64,

@@ -16,9 +16,13 @@ use super::{
     validation::{Validation, estimate, true_pose},
 };
 
+/// Colour of points and axes under the estimated pose.
 const PREDICTED: Rgb<u8> = Rgb([255, 170, 0]);
+/// Colour of points and axes under the true pose.
 const TRUE: Rgb<u8> = Rgb([0, 200, 120]);
+/// Side of a tile, pixels.
 const TILE: u32 = 200;
+/// Pairs on the sheet, the first of the validation.
 const SHOWN_PAIRS: usize = 8;
 
 /// Losses, shares of good poses, rotation error and learning rate over steps.

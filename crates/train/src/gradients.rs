@@ -27,6 +27,7 @@ pub fn scale<M: Module>(model: &M, gradients: &mut GradientsParams, factor: f64)
     model.visit(&mut Scale { gradients, factor });
 }
 
+/// Sums the squares of every gradient.
 struct Squares<'a> {
     gradients: &'a GradientsParams,
     sums: Vec<Tensor<1>>,
@@ -40,6 +41,7 @@ impl ModuleVisitor for Squares<'_> {
     }
 }
 
+/// Replaces NaN and infinities.
 struct Clean<'a> {
     gradients: &'a mut GradientsParams,
 }
@@ -57,6 +59,7 @@ impl ModuleVisitor for Clean<'_> {
     }
 }
 
+/// Multiplies by a factor.
 struct Scale<'a> {
     gradients: &'a mut GradientsParams,
     factor: f64,

@@ -1,4 +1,4 @@
-//! Asking a run from outside to save and leave.
+//! Asking a run from outside to save and stop.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -10,17 +10,19 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Asks the run to save and leave. False when waiting for it has no use: it was asked before, or it has not begun
-    /// to train (finished shards of generated data stay anyway).
+    /// Asks the run to save and stop. False when there is nothing to wait for: it was asked before, or it has not begun
+    /// to train (finished shards of generated data are kept anyway).
     pub fn request(&self) -> bool {
         let first = !self.requested.swap(true, Ordering::Relaxed);
         first && self.training.load(Ordering::Relaxed)
     }
 
+    /// Whether the run was asked to stop.
     pub fn is_requested(&self) -> bool {
         self.requested.load(Ordering::Relaxed)
     }
 
+    /// From now on an interrupt is worth waiting for.
     pub(super) fn training_begins(&self) {
         self.training.store(true, Ordering::Relaxed);
     }

@@ -15,36 +15,45 @@ use super::TrainError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
+    /// An optimizer step.
     Step(StepRecord),
+    /// A validation.
     Validation(ValidationRecord),
 }
 
 /// One optimizer step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct StepRecord {
     /// Steps taken, this one included.
     pub step: u64,
+    /// Mean loss of the step's pairs, all terms together.
     pub loss: f64,
+    /// Learning rate of the step.
     pub learning_rate: f64,
-    /// Before clipping.
+    /// L2 norm of all gradients before clipping.
     pub gradient_norm: f64,
     /// Training time of all calls so far, seconds.
     pub elapsed_s: f64,
-    /// Loss terms by name.
+    /// Mean of each loss term by name, such as `coarse.info_nce.0`.
     pub terms: std::collections::BTreeMap<String, f64>,
 }
 
 /// One validation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct ValidationRecord {
     /// Steps taken before it.
     pub step: u64,
+    /// Training time of all calls so far, seconds.
     pub elapsed_s: f64,
     /// Pairs that were evaluated.
     pub pairs: usize,
+    /// Mean loss of the pairs.
     pub loss: f64,
-    /// Of the final pose, up to the object's symmetries.
+    /// Median rotation error of the final poses up to the object's symmetries, degrees.
     pub median_rotation_deg: f64,
+    /// Median translation error of the final poses, metres.
     pub median_translation_m: f64,
     /// Share of pairs within 5 degrees and 5 cm.
     pub within_5deg_5cm: f64,
@@ -52,11 +61,12 @@ pub struct ValidationRecord {
     pub within_15deg: f64,
     /// BOP average recall (mean of the VSD, MSSD and MSPD recalls) when the objects' meshes are known.
     pub average_recall: Option<f64>,
-    /// Shares of the coarse pose, before the fine stage.
+    /// Share of pairs whose coarse pose, before the fine stage, is within 15 degrees.
     pub coarse_within_15deg: f64,
 }
 
 impl Event {
+    /// Steps taken when the event was written.
     pub fn step(&self) -> u64 {
         match self {
             Self::Step(record) => record.step,
@@ -66,13 +76,14 @@ impl Event {
 }
 
 impl ValidationRecord {
-    /// What the best weights are chosen by: average recall, or the two shares; the loss decides between equals.
+    /// The score by which the best weights are chosen: the average recall, or the mean of the two shares where it is not
+    /// known; the loss decides between equals.
     pub fn score(&self) -> f64 {
         let poses = self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
         poses - 1e-4 * self.loss.clamp(0.0, 100.0)
     }
 
-    /// One line for people.
+    /// One line of text for people.
     pub fn describe(&self) -> String {
         let recall = self.average_recall.map(|ar| format!(", AR {ar:.3}")).unwrap_or_default();
         format!(
@@ -119,6 +130,7 @@ impl Journal {
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
+    /// Writes an event and flushes it to the file.
     pub fn append(&mut self, event: &Event) -> Result<(), TrainError> {
         let written = serde_json::to_writer(&mut self.writer, event)
             .map_err(std::io::Error::from)

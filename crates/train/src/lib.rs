@@ -1,9 +1,10 @@
 //! Training: the loop, the optimizer's state, exact resume, validation, and what a run leaves behind.
 //!
-//! [`train`] does everything `unotrain` does. A run folder holds `best.safetensors` (weights of the best validation),
-//! `last.safetensors` and `state-<step>` (everything a resume needs), `metrics.jsonl`, `curves.svg`, `poses.png` and
-//! the resolved `config.toml`. A resumed run continues bit for bit: weights, moments, averages, schedule and the
-//! position in the stream of pairs are saved, and random numbers belong to pairs, not to the process.
+//! [`train`] does everything `unotrain` does and tells a [`TrainObserver`] how far it is. A run folder holds
+//! `best.safetensors` (weights of the best validation), `last.safetensors` and `state-<step>` (everything a resume
+//! needs), `metrics.jsonl`, `curves.svg`, `poses.png` and the resolved `config.toml`. A resumed run continues bit for
+//! bit: weights, moments, averages, schedule and the position in the stream of pairs are saved, and random numbers
+//! belong to pairs, not to the process.
 
 mod bad_batch;
 mod datasets;
@@ -32,5 +33,3 @@ pub use optimization::Optimization;
 pub use options::{StopReason, TrainOptions, TrainOutcome};
 pub use replicas::{BatchGradients, forward_backward};
 pub use run::train;
-pub use schedule::{Schedule, TimeBudget};
-pub use validation::{PoseError, Validation};

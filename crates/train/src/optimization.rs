@@ -1,4 +1,4 @@
-//! The part of training that changes weights: gradients in, Adam step, moving average.
+//! The part of training that changes weights: accumulated gradients, Adam step, moving average.
 
 use burn::{
     module::{Module, ModuleMapper, Param, ParamId},
@@ -42,7 +42,7 @@ impl<M: Module> Optimization<M> {
     }
 
     /// Resumes from a saved state: `model` with its weights, `average` likewise, `adam` with its moments.
-    pub fn restore(&mut self, model: M, average: Option<M>, adam: ModuleOptimizer, step: u64) {
+    pub(crate) fn restore(&mut self, model: M, average: Option<M>, adam: ModuleOptimizer, step: u64) {
         self.model = model;
         self.average = average;
         self.adam = adam;
@@ -56,17 +56,17 @@ impl<M: Module> Optimization<M> {
     }
 
     /// The moving average of the weights, when there is one.
-    pub fn average(&self) -> Option<&M> {
+    pub(crate) fn average(&self) -> Option<&M> {
         self.average.as_ref()
     }
 
-    /// The weights to use: the average when there is one; without autodiff, in inference mode.
-    pub fn deployed(&self) -> M {
+    /// The network to use: with the average of the weights when there is one, without autodiff, in inference mode.
+    pub(crate) fn deployed(&self) -> M {
         self.average.as_ref().unwrap_or(&self.model).valid()
     }
 
     /// Optimizer with its moments.
-    pub fn adam(&self) -> &ModuleOptimizer {
+    pub(crate) fn adam(&self) -> &ModuleOptimizer {
         &self.adam
     }
 
@@ -86,7 +86,7 @@ impl<M: Module> Optimization<M> {
         self.accumulated.accumulate(&self.model, gradients);
     }
 
-    /// Takes an optimizer step with the accumulated gradients; returns their norm before clipping.
+    /// Takes an optimizer step with the accumulated gradients; returns their L2 norm before clipping.
     pub fn apply(&mut self, learning_rate: f64) -> f64 {
         let mut gradients = self.accumulated.grads();
         let mut norm = gradients::norm(&self.model, &gradients);

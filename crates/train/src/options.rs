@@ -1,4 +1,4 @@
-//! What a call to train gets besides the configuration, and what it gives back.
+//! What a call of `train` takes besides the configuration, and what it returns.
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
@@ -12,17 +12,17 @@ pub struct TrainOptions {
     pub out: PathBuf,
     /// Where synthetic data are kept: `<data_root>/<name>`.
     pub data_root: PathBuf,
-    /// Start from these weights when the folder has no checkpoint.
+    /// Start from the weights in this checkpoint or official state when the folder has no checkpoint.
     pub init: Option<PathBuf>,
     /// Delete an earlier run in the folder instead of resuming it.
     pub fresh: bool,
-    /// End after this time, data generation, validation and report included.
+    /// Stop after this time, data generation, validation and report included.
     pub time_limit: Option<Duration>,
-    /// Without autodiff.
+    /// Where to compute; without autodiff.
     pub device: Device,
-    /// Save and leave when the run has taken this many steps, as after Ctrl-C.
+    /// Save and stop when the run has taken this many steps, as after an interrupt.
     pub stop_at: Option<u64>,
-    /// Set from outside (Ctrl-C) to save and leave.
+    /// Asked from outside (Ctrl-C) to save and stop.
     pub interrupt: Arc<Interrupt>,
     /// Told how far the run is; `Arc::new(())` for nobody.
     pub observer: Arc<dyn TrainObserver>,
@@ -30,16 +30,21 @@ pub struct TrainOptions {
 
 /// Why a call stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum StopReason {
     /// An earlier call took the last step.
     AlreadyFinished,
+    /// This call took the last step.
     Finished,
+    /// The time limit is reached; the run can be resumed.
     TimeUp,
+    /// Interrupted from outside or at `stop_at`; the run can be resumed.
     Interrupted,
 }
 
 /// What a call did.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct TrainOutcome {
     /// Why the call stopped.
     pub stop_reason: StopReason,

@@ -1,4 +1,4 @@
-//! One forward and backward pass, the batch's pairs shared out to the CPU's threads.
+//! One forward and backward pass, the batch's pairs shared among the CPU's threads.
 //!
 //! Most of burn's operations run on one thread. Every thread therefore takes some of the pairs through a copy of the
 //! network of its own, and the gradients are summed in a fixed order. The positional encoding, whose batch norm looks
@@ -25,9 +25,10 @@ use unopose_pairs::data::TrainSample;
 /// Name of the whole loss among its terms.
 pub const TOTAL: &str = "total";
 
-/// What a pass over a batch gives.
+/// Losses and gradients of a batch.
+#[non_exhaustive]
 pub struct BatchGradients {
-    /// The whole loss `[1]` under [`TOTAL`], then every term per pair `[B]`, on the host.
+    /// The whole loss `[1]` under `total`, then every term per pair `[B]`, on the host.
     pub losses: Vec<(String, Vec<f32>)>,
     /// To be added up: the gradients of the mean loss, divided by the configured number of accumulated passes.
     pub gradients: Vec<GradientsParams>,
@@ -103,6 +104,7 @@ struct Share<'a> {
     share: f64,
 }
 
+/// What the pass over a share gives.
 struct ShareGradients {
     /// The share's contribution to the whole loss, then the terms.
     losses: Vec<(String, Vec<f32>)>,

@@ -48,6 +48,7 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
     Run::start(config, options, datasets, start)?.run()
 }
 
+/// A run in progress.
 struct Run<'a> {
     config: &'a Config,
     options: &'a TrainOptions,

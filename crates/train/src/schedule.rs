@@ -14,6 +14,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
+    /// Warm-up and decay as configured.
     pub fn new(config: &TrainConfig) -> Self {
         Self {
             peak: config.learning_rate,

@@ -21,8 +21,11 @@ use unopose_nn::checkpoint::{self, CheckpointError, Meta};
 
 use super::{TrainError, optimization::Optimization};
 
+/// Metadata of `last.safetensors`: name of the folder with the rest of the state.
 const STATE_KEY: &str = "state";
+/// Metadata of `last.safetensors`: [`RunState`] as JSON.
 const PROGRESS_KEY: &str = "progress";
+/// Start of the folder names; the step follows.
 const STATE_PREFIX: &str = "state-";
 
 /// What a run knows besides its tensors.

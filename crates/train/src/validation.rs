@@ -41,13 +41,16 @@ pub struct Validation {
 pub struct Truth {
     /// Query object to query camera, metres.
     pub t_query_object: Pose,
+    /// Transforms that map the object onto itself.
     pub symmetries: ObjectSymmetries,
 }
 
 /// Errors of one pose, up to the object's symmetries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseError {
+    /// Angle between the rotations, degrees.
     pub rotation_deg: f64,
+    /// Distance between the translations, metres.
     pub translation_m: f64,
 }
 
@@ -159,6 +162,7 @@ impl Validation {
         Ok(range.into_par_iter().map(|i| self.sampler.sample(i as u64, false)).collect::<Result<_, _>>()?)
     }
 
+    /// What is known about each pair, in order.
     pub fn truths(&self) -> &[Truth] {
         &self.truths
     }

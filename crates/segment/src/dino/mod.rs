@@ -1,7 +1,7 @@
 //! Matching by a DINOv2 transformer as UNOPose and CNOS do it: the class token and the patch tokens of the object's crop.
 //!
-//! [`Crop`] is what the transformer sees, [`Descriptor`] what it says of it. An object with several views (templates of
-//! its model) is as like a proposal as the mean of its five best views.
+//! [`Crop`] is the input of the transformer, [`Descriptor`] its output. The score of a proposal against an object with
+//! several views (templates of its model) is the mean over its five best views.
 
 mod crop;
 mod descriptor;
@@ -36,7 +36,7 @@ pub struct DinoMatcher {
     checksum: u32,
 }
 
-/// The views of an object.
+/// The views of an object as [`DinoMatcher`] keeps them.
 pub struct DinoObject {
     views: Vec<Descriptor>,
 }
@@ -94,7 +94,7 @@ impl Matcher for DinoMatcher {
         format!("dinov2 1 {BEST_VIEWS} {:08x}", self.checksum)
     }
 
-    /// Half of what a view scores against itself; not checked with published weights.
+    /// Half of the score of a view against itself; not checked with published weights.
     fn instance_score(&self) -> f64 {
         0.5
     }

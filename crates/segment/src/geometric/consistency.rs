@@ -38,6 +38,7 @@ pub struct Consistency {
 }
 
 impl ColoredPoints {
+    /// At most [`SAMPLES`] measured pixels of the mask, evenly spread.
     pub fn new(frame: &RgbdFrame, mask: &Mask) -> Self {
         let usable: Vec<(u32, u32, f32)> = mask
             .pixels()

@@ -14,6 +14,7 @@ const SAMPLES: usize = 3000;
 pub struct ColorHistogram(Vec<f32>);
 
 impl ColorHistogram {
+    /// Of at most [`SAMPLES`] pixels of the mask, evenly spread.
     pub fn new(rgb: &image::RgbImage, mask: &Mask) -> Self {
         let step = mask.count().div_ceil(SAMPLES).max(1);
         let mut bins = vec![0.0f32; BINS.iter().product()];

@@ -1,4 +1,4 @@
-//! Matching with the pose network's own checkpoint: size, colours, features of its colour encoder, and how well the image
+//! Matching with the checkpoint of the pose network: size, colours, features of its colour encoder, and how well the image
 //! agrees with the pose that the network finds.
 //!
 //! The cheap parts order the proposals; only the best ones get a pose. The weights were chosen on synthetic scenes.
@@ -22,16 +22,18 @@ const POSED: usize = 8;
 const DESCRIBED: usize = 20;
 /// Logarithm of the size ratio at which the size counts half.
 const HALF_SIZE: f64 = 0.45;
-/// Distance to the surface, in radii of the object, that is still on it; never below a sensor's noise.
+/// Largest distance of a point on the surface from what is measured, radii of the object.
 const REACH: f32 = 0.12;
+/// Its lower limit, the noise of a sensor, metres.
 const MIN_REACH: f32 = 0.006;
 
-/// Compares by the checkpoint at hand.
+/// Compares by the checkpoint of the pose network.
 pub struct GeometricMatcher<'a> {
+    /// The loaded pose network.
     pub estimator: &'a PoseEstimator,
 }
 
-/// One reference view.
+/// One reference view as [`GeometricMatcher`] keeps it.
 pub struct GeometricObject {
     reference: Reference,
     histogram: ColorHistogram,

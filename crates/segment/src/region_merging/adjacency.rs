@@ -31,6 +31,7 @@ impl Region {
         (0..3).for_each(|i| self.lab[i] += other.lab[i]);
     }
 
+    /// Mean colour, CIE L*a*b*.
     pub fn mean_lab(&self) -> [f32; 3] {
         self.lab.map(|sum| sum / self.cells.max(1.0))
     }

@@ -61,10 +61,12 @@ impl Grid {
         grid
     }
 
+    /// Number of cells.
     pub fn len(&self) -> usize {
         self.width * self.height
     }
 
+    /// Whether a cell has depth.
     pub fn measured(&self, cell: usize) -> bool {
         self.points[cell][2] > 0.0
     }

@@ -6,7 +6,7 @@ use super::{
     grid::{minus, norm},
 };
 
-/// What a merge costs.
+/// Weights of what the merge of two regions costs.
 #[derive(Clone, Copy, Debug)]
 pub struct Strategy {
     pub step: f32,
@@ -86,16 +86,19 @@ pub struct Node {
 pub struct RegionSet(Vec<u64>);
 
 impl RegionSet {
+    /// The region `index` of `count`.
     pub fn one(index: usize, count: usize) -> Self {
         let mut bits = vec![0u64; count.div_ceil(64)];
         bits[index / 64] |= 1 << (index % 64);
         Self(bits)
     }
 
+    /// Whether a region is in the set.
     pub fn contains(&self, index: usize) -> bool {
         self.0.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 == 1)
     }
 
+    /// Regions of either set.
     pub fn union(&self, other: &Self) -> Self {
         Self(self.0.iter().zip(&other.0).map(|(a, b)| a | b).collect())
     }
@@ -153,6 +156,7 @@ pub fn merge_tree(regions: &[Region], boundaries: &Boundaries, strategy: &Strate
     nodes
 }
 
+/// A merge tree under construction.
 struct Tree {
     sums: Vec<Region>,
     boundaries: Boundaries,

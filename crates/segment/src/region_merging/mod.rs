@@ -1,10 +1,10 @@
 //! Proposals from depth and colour, without weights.
 //!
-//! At a working resolution of 320 cells: support and background planes are removed; cells without depth follow the
-//! measured ones that colour connects them to, so masks reach over holes; patches of another colour on a plane are
-//! candidates of their own, as they may be flat objects; what is left is over-segmented by depth steps,
-//! concave creases and colour, once with little weight on colour; merge trees with different priorities join the regions
-//! again, and every node of every tree is a candidate. The constants were chosen on synthetic scenes.
+//! The longer side of the image is reduced to at most 320 cells. Support and background planes are removed. Cells without
+//! depth follow the measured cells that colour connects them to, so that masks reach over holes. Patches of another colour
+//! on a plane are candidates of their own: they may be flat objects. What is left is over-segmented by depth steps, concave
+//! creases and colour, and once more with little weight on colour. Merge trees with different priorities join the regions
+//! again; every node of every tree is a candidate. The constants were chosen on synthetic scenes.
 
 mod adjacency;
 mod flood;
@@ -15,7 +15,7 @@ mod planes;
 mod ranking;
 mod regions;
 
-use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError, box_iou};
+use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError, assignment::box_iou};
 use grid::Grid;
 use hierarchy::Strategy;
 use unopose_core::frame::{Mask, RgbdFrame};
@@ -30,7 +30,7 @@ const SAME_BOX: f64 = 0.75;
 /// What a patch that lies flat on a plane is worth beside a solid object.
 const FLAT: f32 = 0.5;
 
-/// The generator without weights.
+/// Proposals from depth and colour, without weights.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RegionProposals;
 

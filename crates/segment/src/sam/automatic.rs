@@ -13,7 +13,7 @@ use super::{
     pillow::resized,
     resize::ResizeLongestSide,
 };
-use crate::{MAX_PROPOSALS, Proposal, SegmentError, non_maximum_suppression};
+use crate::{MAX_PROPOSALS, Proposal, SegmentError, assignment::non_maximum_suppression};
 
 /// Width to which images are resized first.
 const WIDTH: u32 = 640;
@@ -27,8 +27,9 @@ const MIN_IOU: f32 = 0.88;
 const MIN_STABILITY: f64 = 0.85;
 /// ... and boxes that overlap no better one by more than this.
 const BOX_OVERLAP: f64 = 0.7;
-/// Shares of the image that the box and the mask must exceed.
+/// Share of the image that the box must exceed.
 const MIN_BOX_SHARE: f64 = 0.0025;
+/// Share of the image that the mask must exceed.
 const MIN_MASK_SHARE: f64 = 3e-4;
 
 /// A mask that is good and stable.

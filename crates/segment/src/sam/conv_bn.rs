@@ -8,6 +8,7 @@ use burn::{
 
 use super::layers::parameter;
 
+/// Added to the variance, as published.
 const EPSILON: f64 = 1e-5;
 
 /// Convolution without bias and the norm of its channels.
@@ -27,6 +28,7 @@ pub struct BatchNorm2d {
 }
 
 impl ConvBn {
+    /// Without values; `convolution` gets no bias.
     pub fn new(convolution: Conv2dConfig, device: &Device) -> Self {
         let c = convolution.with_bias(false).init(device);
         let channels = c.weight.lazy_shape()[0];

@@ -1,5 +1,6 @@
 //! Image encoder of Segment Anything: a vision transformer whose blocks attend within windows, all but a few, with
-//! positions relative in rows and columns (Kirillov et al. 2023; ViTDet, Li et al. 2022). Field names are the published ones.
+//! positions relative in rows and columns (Kirillov et al. 2023; ViTDet, Li et al. 2022). Field names are the published
+//! ones.
 
 use burn::{
     module::{Module, Param},
@@ -14,6 +15,7 @@ use super::{
     sizes::VitSizes,
 };
 
+/// Added to the variance, as published.
 const LAYER_NORM_EPSILON: f64 = 1e-6;
 
 /// Patch projection.
@@ -57,7 +59,7 @@ pub struct Attention {
 
 impl ImageEncoderVit {
     /// `out` channels of the image embedding, for images of `image_size` pixels.
-    pub fn new(sizes: &VitSizes, image_size: usize, out: usize, device: &Device) -> Self {
+    pub(super) fn new(sizes: &VitSizes, image_size: usize, out: usize, device: &Device) -> Self {
         let (width, patch) = (sizes.width, sizes.patch_size);
         let side = image_size / patch;
         let block = |window: &Option<usize>| Block::new(sizes, *window, side, device);

@@ -83,6 +83,7 @@ impl LayerNorm2d {
 /// End of the image encoders: channels to those of the decoder, each pixel with its neighbours.
 pub type Neck = (Conv2d, LayerNorm2d, Conv2d, LayerNorm2d);
 
+/// A neck without values from `width` to `out` channels.
 pub fn neck(width: usize, out: usize, device: &Device) -> Neck {
     let conv =
         |input: usize, kernel: usize| convolution([input, out], kernel, 1).with_bias(false).init(device);

@@ -52,7 +52,7 @@ pub struct Decoded {
 }
 
 impl MaskDecoder {
-    pub fn new(sizes: &DecoderSizes, device: &Device) -> Self {
+    pub(super) fn new(sizes: &DecoderSizes, device: &Device) -> Self {
         let width = sizes.width;
         let twice = |input: usize, output: usize| {
             let config = ConvTranspose2dConfig::new([input, output], [2, 2]).with_stride([2, 2]);

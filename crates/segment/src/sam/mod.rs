@@ -1,8 +1,8 @@
 //! Segment Anything and MobileSAM as a proposal generator: published weights, run by burn.
 //!
 //! [`SamProposals`] is the whole: automatic masks for a proposal list, or the mask of one point or box.
-//! [`SamCheckpoint`] reads the published files; [`Sam`] is the network, one file per part, its fields named as the
-//! published tensors are (the original is Apache-2.0).
+//! [`SamCheckpoint`] reads the published files; [`Sam`] is the network, one file per part. Its fields are named like the
+//! published tensors (the original is Apache-2.0).
 
 mod automatic;
 mod conv_bn;
@@ -20,16 +20,11 @@ mod tiny_vit;
 mod two_way;
 mod weights;
 
-pub use image_encoder::ImageEncoderVit;
-pub use mask_decoder::{Decoded, MaskDecoder};
+pub use mask_decoder::Decoded;
 pub use mask_pixels::{Upscaling, stability};
 pub use network::{ImageEmbedding, ImageEncoder, Sam};
-pub use prompt_encoder::PromptEncoder;
 pub use resize::ResizeLongestSide;
-pub use sizes::{
-    AttentionStageSizes, DecoderSizes, EncoderSizes, SamSizes, StageSizes, TinyVitSizes, VitSizes,
-};
-pub use tiny_vit::TinyVit;
+pub use sizes::SamSizes;
 pub use weights::SamCheckpoint;
 
 use std::path::Path;
@@ -41,7 +36,7 @@ use unopose_nn::checkpoint::CheckpointError;
 use super::{ImageKey, Prompt, Proposal, ProposalGenerator, SegmentError};
 use mask_pixels::thresholded;
 
-/// Points per side of the grid of the automatic masks.
+/// Points per side of the grid of the automatic masks unless another number is asked for, as in the original.
 pub const POINTS_PER_SIDE: usize = 32;
 
 /// Proposals by Segment Anything; depth is not looked at.
@@ -57,10 +52,11 @@ impl SamProposals {
     /// The network in a file; notices go to the log.
     pub fn load(path: &Path, device: &Device) -> Result<Self, CheckpointError> {
         let checkpoint = SamCheckpoint::open(path)?;
-        checkpoint.report();
+        checkpoint.log_notices();
         Self::new(checkpoint, device)
     }
 
+    /// The network in a checkpoint that has been read.
     pub fn new(checkpoint: SamCheckpoint, device: &Device) -> Result<Self, CheckpointError> {
         let name = checkpoint.sizes.published().unwrap_or("SAM").to_lowercase().replace(' ', "-");
         let weights = format!("{name}-{:08x}", checkpoint.checksum());

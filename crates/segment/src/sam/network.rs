@@ -1,4 +1,4 @@
-//! The whole network.
+//! The whole network. Field names are the published ones.
 
 use std::ops::Range;
 
@@ -18,9 +18,12 @@ use super::{
 /// Segment Anything (Kirillov et al. 2023), with its own image encoder or MobileSAM's.
 #[derive(Module, Debug)]
 pub struct Sam {
+    /// Image to embedding.
     pub image_encoder: ImageEncoder,
+    /// Points and boxes to tokens.
     pub prompt_encoder: PromptEncoder,
-    pub mask_decoder: MaskDecoder,
+    /// Embedding and tokens to masks.
+    pub(super) mask_decoder: MaskDecoder,
     image_size: usize,
 }
 
@@ -28,14 +31,16 @@ pub struct Sam {
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // There is one of it in a network.
 pub enum ImageEncoder {
+    /// That of SAM ViT-B, L and H.
     Vit(ImageEncoderVit),
+    /// That of MobileSAM.
     TinyVit(TinyVit),
 }
 
 /// An image as the decoder needs it.
 #[derive(Clone, Debug)]
 pub struct ImageEmbedding {
-    /// `[1, T, D]`.
+    /// One token per patch, row by row, `[1, T, D]`.
     pub tokens: Tensor<3>,
     /// Positions of the tokens, the same for all prompts, `[1, T, D]`.
     positions: Tensor<3>,
@@ -45,7 +50,7 @@ pub struct ImageEmbedding {
 
 impl Sam {
     /// A network without values.
-    pub fn new(sizes: &SamSizes, device: &Device) -> Self {
+    pub(super) fn new(sizes: &SamSizes, device: &Device) -> Self {
         let width = sizes.decoder.width;
         Self {
             image_encoder: match &sizes.encoder {
@@ -65,7 +70,7 @@ impl Sam {
         self.image_size
     }
 
-    /// Normalised padded image `[1, 3, S, S]`.
+    /// Normalised padded image `[1, 3, S, S]` to its embedding.
     pub fn encode(&self, image: Tensor<4>) -> ImageEmbedding {
         let tokens = match &self.image_encoder {
             ImageEncoder::Vit(encoder) => encoder.forward(image),
@@ -76,7 +81,7 @@ impl Sam {
         ImageEmbedding { tokens, positions: self.prompt_encoder.positions(grid), grid }
     }
 
-    /// Tokens of P prompts `[P, N, D]` (see [`PromptEncoder`]) decoded.
+    /// Decodes the tokens of P prompts, `[P, N, D]`, as [`Self::prompt_encoder`] makes them.
     pub fn decode(&self, image: &ImageEmbedding, prompts: Tensor<3>) -> Decoded {
         let tokens = image.tokens.clone() + self.prompt_encoder.no_mask();
         self.mask_decoder.forward(tokens, image.positions.clone(), prompts)

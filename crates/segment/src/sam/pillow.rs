@@ -33,6 +33,7 @@ fn rounded(sum: i32) -> u8 {
     (sum >> BITS).clamp(0, 255) as u8
 }
 
+/// Half a unit of an 8-bit value, for rounding.
 const HALF: i32 = 1 << (BITS - 1);
 
 /// `image` with other sides, both at least 1.

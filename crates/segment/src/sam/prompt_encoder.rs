@@ -12,16 +12,21 @@ use super::layers::{Embedding, parameter};
 
 /// Embeddings by kind of point: outside, inside, upper left and lower right corner of a box.
 const KINDS: usize = 4;
+/// Index of points inside an object.
 const INSIDE: usize = 1;
+/// Index of the upper left corner of a box; the lower right one follows.
 const CORNERS: usize = 2;
 
-/// The encoder of points and boxes.
+/// Encodes points and boxes.
 #[derive(Module, Debug)]
 pub struct PromptEncoder {
-    pub pe_layer: PositionEmbeddingRandom,
-    pub point_embeddings: Vec<Embedding>,
-    pub not_a_point_embed: Embedding,
-    pub no_mask_embed: Embedding,
+    pub(super) pe_layer: PositionEmbeddingRandom,
+    /// By kind of point, `[1, D]` each.
+    pub(super) point_embeddings: Vec<Embedding>,
+    /// Stands for the absent box of a point, `[1, D]`.
+    pub(super) not_a_point_embed: Embedding,
+    /// Stands for the absent mask, `[1, D]`.
+    pub(super) no_mask_embed: Embedding,
     image_size: usize,
 }
 
@@ -34,7 +39,7 @@ pub struct PositionEmbeddingRandom {
 
 impl PromptEncoder {
     /// `width` channels, for images of `image_size` pixels.
-    pub fn new(width: usize, image_size: usize, device: &Device) -> Self {
+    pub(super) fn new(width: usize, image_size: usize, device: &Device) -> Self {
         let embedding = || Embedding::new(1, width, device);
         let frequencies = parameter([2, width / 2], device);
         Self {
@@ -71,7 +76,7 @@ impl PromptEncoder {
     }
 
     /// What is added to the image when no mask is given, `[1, 1, D]`.
-    pub fn no_mask(&self) -> Tensor<3> {
+    pub(super) fn no_mask(&self) -> Tensor<3> {
         self.no_mask_embed.weight.val().unsqueeze()
     }
 

@@ -1,22 +1,24 @@
-//! An image as the network takes it: the longest side resized to the network's, normalised, padded at the right and below.
+//! The network's input: an image resized so that its longest side is the input's, normalised, padded at the right and
+//! below.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use image::RgbImage;
 
 use super::pillow::resized;
 
-/// Means and standard deviations of the channels in [0, 255].
+/// Means of the red, green and blue channel in [0, 255].
 const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
+/// Their standard deviations.
 const STANDARD_DEVIATION: [f32; 3] = [58.395, 57.12, 57.375];
 
 /// How an image becomes the network's square input: resized until its longest side is that of the input, then padded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ResizeLongestSide {
-    /// Width and height of the image.
+    /// Width and height of the image, pixels.
     pub image: [u32; 2],
-    /// Width and height in the padded input.
+    /// Width and height of the resized image in the padded input, pixels.
     pub resized: [u32; 2],
-    /// Side of the padded input.
+    /// Side of the padded input, pixels.
     pub side: u32,
 }
 
@@ -28,7 +30,7 @@ impl ResizeLongestSide {
         Self { image: [width, height], resized: [width, height].map(scaled), side }
     }
 
-    /// A point of the image, pixels, in the padded input.
+    /// Where a point of the image lies in the padded input, x and y in pixels.
     pub fn point(&self, point: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|axis| {
             point[axis] * (f64::from(self.resized[axis]) / f64::from(self.image[axis]))

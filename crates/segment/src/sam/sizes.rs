@@ -5,18 +5,18 @@ use std::{collections::BTreeMap, fmt};
 /// Names and shapes of a file's tensors.
 pub(super) type Shapes = BTreeMap<String, Vec<usize>>;
 
-/// What the shapes tell.
+/// Sizes of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SamSizes {
-    pub encoder: EncoderSizes,
+    pub(super) encoder: EncoderSizes,
     /// Side of the square image that the encoder sees, pixels.
     pub image_size: usize,
-    pub decoder: DecoderSizes,
+    pub(super) decoder: DecoderSizes,
 }
 
 /// The image encoder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum EncoderSizes {
+pub(super) enum EncoderSizes {
     /// ViT-B, L or H, or one like them.
     Vit(VitSizes),
     /// MobileSAM's.
@@ -25,10 +25,13 @@ pub enum EncoderSizes {
 
 /// A vision transformer with windowed attention.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct VitSizes {
+pub(super) struct VitSizes {
+    /// Side of a patch, pixels.
     pub patch_size: usize,
+    /// Channels of a token.
     pub width: usize,
     pub heads: usize,
+    /// Hidden channels of the blocks' perceptrons.
     pub mlp_width: usize,
     /// Side of each block's windows, patches; `None` where all patches attend to each other.
     pub windows: Vec<Option<usize>>,
@@ -36,7 +39,7 @@ pub struct VitSizes {
 
 /// A TinyViT.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TinyVitSizes {
+pub(super) struct TinyVitSizes {
     /// Channels after the first convolution, at half resolution.
     pub stem: usize,
     /// The first stage: inverted bottlenecks.
@@ -47,16 +50,18 @@ pub struct TinyVitSizes {
 
 /// A stage of TinyViT.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StageSizes {
+pub(super) struct StageSizes {
+    /// Channels.
     pub width: usize,
+    /// Blocks.
     pub depth: usize,
-    /// Width inside each block.
+    /// Hidden channels of each block.
     pub hidden: usize,
 }
 
 /// A stage of TinyViT with attention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AttentionStageSizes {
+pub(super) struct AttentionStageSizes {
     pub stage: StageSizes,
     pub heads: usize,
     /// Side of the windows, tokens.
@@ -65,10 +70,12 @@ pub struct AttentionStageSizes {
 
 /// Prompt encoder and mask decoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DecoderSizes {
+pub(super) struct DecoderSizes {
     /// Channels of image embedding, prompts and masks.
     pub width: usize,
+    /// Blocks of the two-way transformer.
     pub depth: usize,
+    /// Hidden channels of their perceptrons.
     pub mlp_width: usize,
     /// Channels of the attention between tokens and image.
     pub attention_width: usize,
@@ -78,17 +85,15 @@ pub struct DecoderSizes {
     pub mask_tokens: usize,
 }
 
-/// Why shapes tell no sizes.
+/// Why the shapes of a file are not those of a network.
 #[derive(Debug)]
 pub(super) enum SizeError {
-    /// No image encoder that is known.
+    /// The names are those of no known image encoder.
     Encoder,
+    /// A tensor is missing.
     Missing(String),
-    Shape {
-        name: String,
-        shape: Vec<usize>,
-        expected: &'static str,
-    },
+    /// A tensor has a shape that no network has.
+    Shape { name: String, shape: Vec<usize>, expected: &'static str },
 }
 
 /// Attention heads of the decoder: every published network has as many, and no shape tells.
@@ -98,6 +103,7 @@ pub(super) const HEADS: usize = 8;
 const MOBILE_SAM_IMAGE: usize = 1024;
 
 impl SamSizes {
+    /// Reads the sizes off the shapes of all tensors.
     pub(super) fn of(shapes: &Shapes) -> Result<Self, SizeError> {
         let has = |name: &str| shapes.contains_key(name);
         let tiny = has("image_encoder.patch_embed.seq.0.c.weight");
@@ -113,7 +119,7 @@ impl SamSizes {
     }
 
     /// The name under which a network of these sizes is published.
-    pub fn published(&self) -> Option<&'static str> {
+    pub(super) fn published(&self) -> Option<&'static str> {
         match &self.encoder {
             EncoderSizes::Vit(vit) => match (vit.width, vit.windows.len()) {
                 (768, 12) => Some("SAM ViT-B"),
@@ -213,6 +219,7 @@ fn decoder(shapes: &Reader) -> Result<DecoderSizes, SizeError> {
     Ok(sizes)
 }
 
+/// Looks up shapes by name.
 struct Reader<'a>(&'a Shapes);
 
 impl Reader<'_> {

@@ -16,6 +16,7 @@ use super::{
     sizes::{AttentionStageSizes, StageSizes, TinyVitSizes},
 };
 
+/// Added to the variance, as published.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
 /// The whole encoder.
@@ -39,12 +40,15 @@ pub enum Stage {
     Attentions(AttentionStage),
 }
 
+/// The first stage: inverted bottlenecks, then merging.
 #[derive(Module, Debug)]
 pub struct ConvolutionStage {
     pub blocks: Vec<InvertedBottleneck>,
     pub downsample: PatchMerging,
 }
 
+/// A later stage: blocks of windowed attention, then merging except after the last.
+/// Norm, then self-attention within a window with a bias per offset.
 #[derive(Module, Debug)]
 pub struct AttentionStage {
     pub blocks: Vec<Block>,
@@ -67,6 +71,7 @@ pub struct PatchMerging {
     pub conv3: ConvBn,
 }
 
+/// Windowed attention, depthwise convolution and perceptron.
 #[derive(Module, Debug)]
 pub struct Block {
     pub attn: Attention,
@@ -85,6 +90,7 @@ pub struct Attention {
     pub attention_biases: Param<Tensor<2>>,
 }
 
+/// Norm, then two linear layers.
 #[derive(Module, Debug)]
 pub struct Mlp {
     pub norm: LayerNorm,
@@ -94,7 +100,7 @@ pub struct Mlp {
 
 impl TinyVit {
     /// `out` channels of the image embedding.
-    pub fn new(sizes: &TinyVitSizes, out: usize, device: &Device) -> Self {
+    pub(super) fn new(sizes: &TinyVitSizes, out: usize, device: &Device) -> Self {
         let first = sizes.convolutions;
         let second = sizes.attentions.first().map_or(first.width, |a| a.stage.width);
         let mut layers = vec![Stage::Convolutions(ConvolutionStage {

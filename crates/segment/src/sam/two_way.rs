@@ -19,6 +19,7 @@ use super::{
     sizes::{DecoderSizes, HEADS},
 };
 
+/// Added to the variance, as published.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
 /// The transformer.
@@ -29,6 +30,7 @@ pub struct TwoWayTransformer {
     pub norm_final_attn: LayerNorm,
 }
 
+/// Self-attention of the tokens, tokens to image, perceptron, image to tokens.
 #[derive(Module, Debug)]
 pub struct TwoWayAttentionBlock {
     pub self_attn: Attention,
@@ -51,7 +53,7 @@ pub struct Attention {
 }
 
 impl TwoWayTransformer {
-    pub fn new(sizes: &DecoderSizes, device: &Device) -> Self {
+    pub(super) fn new(sizes: &DecoderSizes, device: &Device) -> Self {
         Self {
             layers: (0..sizes.depth).map(|_| TwoWayAttentionBlock::new(sizes, device)).collect(),
             final_attn_token_to_image: Attention::new(sizes.width, sizes.attention_width, device),

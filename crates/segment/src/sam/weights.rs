@@ -15,6 +15,7 @@ use super::{
     sizes::{SamSizes, Shapes, SizeError},
 };
 
+/// The parts of a network and the prefixes under which files hold them.
 const LAYOUT: Layout = Layout {
     parts: &["image_encoder.", "prompt_encoder.", "mask_decoder."],
     places: &["", "model.", "state_dict.", "module.", "sam."],
@@ -31,16 +32,18 @@ const UNUSED: [&str; 6] = [
     ".attn.ab",
 ];
 
-/// The tensors of a file and what they tell.
+/// A published file: its tensors and the sizes read off their shapes.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct SamCheckpoint {
     path: PathBuf,
+    /// Sizes of the network in the file.
     pub sizes: SamSizes,
     /// Parameters and buffers as f32 under their published names.
     pub tensors: BTreeMap<String, TensorData>,
     /// Names of stored tensors that the network does not use.
     pub unused: Vec<String>,
-    /// Conversions and what was left out, one sentence each.
+    /// Conversions and omissions, one sentence each.
     pub notices: Vec<String>,
 }
 
@@ -67,8 +70,8 @@ impl SamCheckpoint {
         fill_with(Sam::new(&self.sizes, device), self.tensors, &self.path)
     }
 
-    /// Notices go to the log.
-    pub fn report(&self) {
+    /// Logs the notices and the names of unused tensors.
+    pub fn log_notices(&self) {
         let path = self.path.display();
         self.notices.iter().for_each(|notice| tracing::warn!("{path}: {notice}"));
         if !self.unused.is_empty() {

@@ -38,6 +38,7 @@ pub(super) struct ImageUnderCheck<'a> {
 }
 
 impl ImageUnderCheck<'_> {
+    /// What is wrong with the image; its distributions go to `statistics`.
     pub fn check(&self, models: &Models, statistics: &mut Statistics) -> Vec<Finding> {
         let mut findings = self.camera();
         self.appearance(statistics);

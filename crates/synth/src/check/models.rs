@@ -18,6 +18,7 @@ const KEPT: usize = 256;
 /// Objects that a camera on a desk or a robot looks at, metres.
 const DIAMETER: std::ops::RangeInclusive<f64> = 0.005..=5.0;
 
+/// The model folder of a set.
 #[derive(Debug, Default)]
 pub(super) struct Models {
     /// Folder with `obj_OOOOOO.ply`, if any is there.

@@ -13,6 +13,7 @@ use super::{
 };
 use crate::SynthError;
 
+/// Checks every scene of the splits, decoding each `step`-th image.
 pub(super) fn check(
     dataset: &BopDataset,
     splits: &[String],

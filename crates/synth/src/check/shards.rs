@@ -18,6 +18,7 @@ use super::{
 };
 use crate::{SynthError, folder};
 
+/// Checks every shard, decoding each `step`-th image.
 pub(super) fn check(
     dir: &Path,
     folder: &Path,

@@ -1,5 +1,6 @@
 //! Distributions of what the images show, small enough to be kept for sets of any size.
 
+/// Bins of every histogram.
 const BINS: usize = 400;
 
 /// Counts over `[low, high]`, evenly or logarithmically divided; values outside fall into the first or last bin.
@@ -38,11 +39,12 @@ impl Histogram {
         self.sum += other.sum;
     }
 
+    /// Values counted.
     pub fn count(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// NaN without values.
+    /// Mean of the values; NaN without values.
     pub fn mean(&self) -> f64 {
         self.sum / self.count() as f64
     }
@@ -70,6 +72,7 @@ impl Histogram {
 
 /// Distributions over the decoded images and their instances.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Statistics {
     /// Mean luminance of an image, 0..1, sRGB-coded.
     pub brightness: Histogram,

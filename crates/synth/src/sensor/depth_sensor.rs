@@ -10,6 +10,7 @@ use crate::random::Draw;
 /// Width that pixel lengths in [`SensorConfig`] refer to.
 pub(super) const REFERENCE_WIDTH: f32 = 640.0;
 
+/// The principle of measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Style {
     StructuredLight,
@@ -17,11 +18,13 @@ pub(crate) enum Style {
     TimeOfFlight,
 }
 
-/// What stays the same over the views of a scene.
+/// A depth camera, the same for all views of a scene.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DepthSensor {
     pub style: Style,
+    /// Distance between the two viewpoints, metres.
     pub(super) baseline: f32,
+    /// Factor on the noise.
     pub(super) gain: f32,
     /// +1: the second camera is to the right.
     pub(super) side: f32,
@@ -36,6 +39,7 @@ pub(crate) struct DepthSensor {
 }
 
 impl DepthSensor {
+    /// The sensor of a scene.
     pub fn draw(config: &SensorConfig, rng: &mut ChaCha8Rng) -> Self {
         let (baseline, gain, side) = (
             rng.between(config.baseline[0], config.baseline[1]),

@@ -37,6 +37,7 @@ impl Matcher {
 }
 
 impl DepthSensor {
+    /// Depth of structured light or stereo, metres; 0 where nothing was measured.
     pub(super) fn measure_disparity(
         &self,
         view: &Rendering,

@@ -24,6 +24,7 @@ const USUAL_REFLECTANCE: f32 = 0.3;
 const MIXED: f32 = 0.02;
 
 impl DepthSensor {
+    /// Depth of a time-of-flight camera, metres; 0 where nothing was measured.
     pub(super) fn measure_phase(
         &self,
         view: &Rendering,

@@ -9,6 +9,7 @@ use crate::random::Draw;
 /// Grid cells along the longest side.
 const CELLS: usize = 44;
 
+/// A primitive, lengths in its own frame.
 enum Shape {
     Ellipsoid([f32; 3]),
     RoundBox([f32; 3], f32),
@@ -18,6 +19,7 @@ enum Shape {
     Torus(f32, f32),
 }
 
+/// A placed primitive.
 struct Part {
     shape: Shape,
     center: Vector3<f32>,
@@ -55,6 +57,7 @@ fn smooth_min(a: f32, b: f32, width: f32) -> f32 {
     a.min(b) - 0.25 * h * h * width
 }
 
+/// Two to five primitives, each joined smoothly to an earlier one.
 pub(super) fn blend(rng: &mut ChaCha8Rng) -> Solid {
     let width = rng.between(0.05, 0.4);
     let mut parts: Vec<Part> = Vec::new();

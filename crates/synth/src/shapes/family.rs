@@ -1,24 +1,25 @@
-//! Names of the object families.
-
-use serde::{Deserialize, Serialize};
+//! The object families.
 
 /// Object families of the procedural library.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Family {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Family {
     /// Bevelled boxes, cartons with lids, tapered blocks.
     Box,
     /// Boxes of pages with overhanging covers.
     Book,
     /// L, T, U and Z brackets, blocks with holes for screws left out.
     Bracket,
+    /// Bodies with shoulder, neck and cap; also vases and skittles.
     Bottle,
     /// Tins, jars, rolls.
     Can,
+    /// Bowls, plates and basins.
     Bowl,
+    /// Vessels with handles.
     Mug,
     /// Gears, knobs, stars and rings.
     Gear,
+    /// Superquadrics, some of them tapered, bent or twisted.
     Superquadric,
     /// Displaced spheres: fruit, stones, bread-like lumps.
     Organic,
@@ -37,6 +38,7 @@ pub enum Family {
 }
 
 impl Family {
+    /// Every family, in the order in which objects take turns.
     pub const ALL: [Family; 16] = [
         Family::Box,
         Family::Book,

@@ -10,8 +10,8 @@ mod revolved;
 mod smooth;
 mod solid;
 
-pub use family::Family;
-pub use solid::{Solid, Symmetry};
+pub(super) use family::Family;
+pub(super) use solid::{Solid, Symmetry};
 
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
@@ -19,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 use super::random::Draw;
 
 /// A shape of the family with the given diameter (metres), centred; symmetry axes stay on z through the origin.
-pub fn build(family: Family, diameter: f32, rng: &mut ChaCha8Rng) -> Solid {
+pub(super) fn build(family: Family, diameter: f32, rng: &mut ChaCha8Rng) -> Solid {
     let mut solid = match family {
         Family::Box => boxes::carton(rng),
         Family::Book => boxes::book(rng),

@@ -7,6 +7,7 @@ use unopose_core::{config::SynthConfig, frame::Mask};
 use unopose_dataset::render::{Camera, SceneRenderer, instance_views};
 
 use super::{
+    object::ObjectLibrary,
     random::{Domain, stream},
     scene::{self, Arrangement, SceneAssets},
     *,

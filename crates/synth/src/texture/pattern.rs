@@ -42,6 +42,7 @@ pub(crate) fn object_color(rng: &mut ChaCha8Rng) -> Color {
     }
 }
 
+/// The kinds of patterns.
 #[derive(Clone, Debug)]
 enum Kind {
     Plain,

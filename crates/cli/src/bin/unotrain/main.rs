@@ -40,7 +40,7 @@ struct Arguments {
     /// Folder of the generated data sets.
     #[arg(long, default_value = "data")]
     data: PathBuf,
-    /// End cleanly after this many minutes, data generation, validation and report included.
+    /// Stop cleanly after this many minutes, data generation, validation and report included.
     #[arg(long)]
     minutes: Option<f64>,
     /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
@@ -138,6 +138,7 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
             StopReason::TimeUp => format!("time is up after {step} of {} steps", config.train.steps),
             StopReason::Interrupted =>
                 format!("interrupted after {step} of {} steps, saved", config.train.steps),
+            other => format!("stopped after {step} of {} steps: {other:?}", config.train.steps),
         }
     );
     let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
