@@ -24,10 +24,12 @@ pub enum Protocol {
 
 /// A view that can be a target's reference.
 #[derive(Clone, Copy, Debug)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Number of the view.
     pub view: usize,
+    /// Angle to the target's view, up to symmetry.
     pub degrees: f64,
+    /// Whether it is from another scene than the target.
     pub other_scene: bool,
 }
 
