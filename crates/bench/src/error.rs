@@ -1,4 +1,4 @@
-//! Why a benchmark stops.
+//! Why a benchmark fails.
 
 use unopose_core::files::FileError;
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};

@@ -33,7 +33,7 @@ pub struct ListRequest {
     pub targets: Option<PathBuf>,
     /// Masks of the targets.
     pub detections: DetectionSource<UnoSegMasks>,
-    /// Only the first so many entries of every list.
+    /// At most this many entries of every list, from its start.
     pub limit: Option<usize>,
     /// Seed of the choice of references.
     pub seed: u64,
@@ -170,7 +170,7 @@ impl ListRequest {
     }
 }
 
-/// COCO's mAP of the masks on the images of the list. A broken mask is none.
+/// COCO's mAP of the masks on the images of the list. Masks that cannot be decoded are left out.
 fn mask_map(
     split: &BopSplit,
     entries: &[ReferenceTarget],

@@ -1,4 +1,4 @@
-//! Why an analysis ended.
+//! Why an analysis fails.
 
 use unopose_core::files::FileError;
 use unopose_dataset::formats::FormatError;

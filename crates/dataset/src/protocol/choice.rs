@@ -18,7 +18,7 @@ pub enum Protocol {
     Rot90,
     /// The same view for all targets of an object, however far.
     OnePerObject,
-    /// Out of so many views per object: one within 50 degrees if there is any, else the nearest.
+    /// From this many views per object: one within 50 degrees if there is any, else the nearest.
     FewPerObject(usize),
 }
 

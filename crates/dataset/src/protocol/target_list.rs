@@ -22,7 +22,7 @@ pub struct TargetFiles {
     pub targets: PathBuf,
     /// List of detections.
     pub detections: PathBuf,
-    /// Only the first so many entries of the list.
+    /// At most this many entries of the list, from its start.
     pub limit: Option<usize>,
 }
 
