@@ -14,12 +14,13 @@ use super::{
     section::Section,
 };
 
-/// Names of the ingredients.
+/// Names of the network's ingredients as columns of an ablation: global reference frame, local reference frames, fine
+/// stage, overlap prediction.
 pub const INGREDIENTS: [&str; 4] = ["grf", "lrf", "fine", "overlap"];
 
 /// Writes `ablation.md`: the networks with the named ingredients as columns, differences to the network that has most of
 /// them, and the paper's rows beside them.
-pub fn write_ablation(
+pub(crate) fn write_ablation(
     comparison: &Comparison,
     runs: &[(MethodRun, Evaluation)],
     switches: &[Option<Switches>],

@@ -16,7 +16,7 @@ const RESAMPLES: usize = 2000;
 
 /// One method's row.
 #[derive(Clone, Debug, Serialize)]
-pub struct MethodScore {
+pub(crate) struct MethodScore {
     pub name: String,
     /// 95 %, images resampled.
     pub ar: Interval,
@@ -32,7 +32,7 @@ pub struct MethodScore {
 
 /// `a - b` of the average recalls on the same targets.
 #[derive(Clone, Debug, Serialize)]
-pub struct Difference {
+pub(crate) struct Difference {
     pub a: String,
     pub b: String,
     pub ar: Interval,
@@ -40,7 +40,7 @@ pub struct Difference {
 
 /// All methods.
 #[derive(Clone, Debug, Serialize)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     pub dataset: String,
     #[serde(flatten)]
     pub facts: ListFacts,
@@ -58,7 +58,12 @@ pub struct Comparison {
 
 impl Comparison {
     /// From runs with their evaluations, in the order of the rows. The seed is that of the resampling.
-    pub fn new(facts: &ListFacts, list: &TargetList, runs: &[(MethodRun, Evaluation)], seed: u64) -> Self {
+    pub(crate) fn new(
+        facts: &ListFacts,
+        list: &TargetList,
+        runs: &[(MethodRun, Evaluation)],
+        seed: u64,
+    ) -> Self {
         let methods: Vec<MethodScore> =
             runs.iter().map(|(run, evaluation)| score(run, evaluation, seed)).collect();
         let best = (0..runs.len()).max_by(|&a, &b| methods[a].ar.value.total_cmp(&methods[b].ar.value));

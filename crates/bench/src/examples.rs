@@ -22,7 +22,7 @@ const COLOR: Rgb<u8> = Rgb([255, 170, 0]);
 
 /// A picture of several cases.
 #[derive(Clone, Debug)]
-pub struct Sheet {
+pub(crate) struct Sheet {
     /// Name inside the folder of the report.
     pub file: String,
     pub caption: String,
@@ -30,7 +30,7 @@ pub struct Sheet {
 
 /// The two pictures of a method.
 #[derive(Clone, Debug)]
-pub struct Examples {
+pub(crate) struct Examples {
     pub method: String,
     pub worst: Sheet,
     pub best: Sheet,
@@ -38,7 +38,7 @@ pub struct Examples {
 
 impl Examples {
     /// Draws the cases of a run into `folder`, ordered by their part in the average recall, then by MSSD.
-    pub fn draw(
+    pub(crate) fn draw(
         list: &TargetList,
         run: &MethodRun,
         evaluation: &Evaluation,

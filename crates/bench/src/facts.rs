@@ -31,7 +31,7 @@ pub struct ListFacts {
 
 /// Targets whose reference is between two angles away.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct OverlapBin {
+pub(crate) struct OverlapBin {
     pub from: f64,
     pub to: f64,
     pub targets: usize,
@@ -40,7 +40,7 @@ pub struct OverlapBin {
 }
 
 /// Overlap ratios by angle, of the entries that say both; bins without entries are left out.
-pub fn overlap_bins(targets: &[ReferenceTarget]) -> Vec<OverlapBin> {
+pub(crate) fn overlap_bins(targets: &[ReferenceTarget]) -> Vec<OverlapBin> {
     let bin = |limits: &[f64]| {
         let (from, to) = (limits[0], limits[1]);
         let inside = targets.iter().filter(|t| t.rot_deg.is_some_and(|d| d >= from && d < to));
@@ -55,7 +55,7 @@ pub fn overlap_bins(targets: &[ReferenceTarget]) -> Vec<OverlapBin> {
 }
 
 /// Detections skipped for bad input, counted by reason with the first entry of each.
-pub fn skipped_by_reason(list: &TargetList) -> Vec<(String, usize)> {
+pub(crate) fn skipped_by_reason(list: &TargetList) -> Vec<(String, usize)> {
     let mut reasons: BTreeMap<&str, (usize, &SkippedDetection)> = BTreeMap::new();
     for skipped in &list.skipped {
         reasons.entry(&skipped.reason).or_insert((0, skipped)).0 += 1;

@@ -36,7 +36,7 @@ pub use error::BenchError;
 pub use facts::ListFacts;
 pub use lists::{ListRequest, PreparedList};
 pub use network::{Network, Switches};
-pub use sequence::{FrameError, SequenceRun, run_sequence, sequence_table};
+pub use sequence::{SequenceRun, run_sequence, sequence_table};
 pub use suite::{Method, Suite};
 pub use unoseg_masks::UnoSegMasks;
 

@@ -23,27 +23,30 @@ use super::{BenchError, DetectionSource, UnoSegMasks, facts::ListFacts, rendered
 /// What a benchmark is run on.
 #[derive(Clone, Debug)]
 pub struct ListRequest {
+    /// BOP dataset folder.
     pub dataset: PathBuf,
-    /// Found when `None`.
+    /// Split of the targets; found when `None`.
     pub split: Option<String>,
-    /// That of the paper's benchmark, or of the targets, when `None`.
+    /// Split of the reference views; that of the paper's benchmark, or of the targets, when `None`.
     pub reference_split: Option<String>,
     /// A list to use instead of the protocols' own.
     pub targets: Option<PathBuf>,
     /// Masks of the targets.
     pub detections: DetectionSource<UnoSegMasks>,
-    /// Only the first so many entries of every list.
+    /// At most this many entries of every list, from its start.
     pub limit: Option<usize>,
-    /// Of the choice of references.
+    /// Seed of the choice of references.
     pub seed: u64,
-    /// Draw the reference images anew from the models.
+    /// Whether to draw the reference images anew from the models.
     pub rendered: bool,
 }
 
 /// A list that is ready to run.
 #[derive(Debug)]
 pub struct PreparedList {
+    /// What is known of the list besides its targets.
     pub facts: ListFacts,
+    /// The targets with their references and detections.
     pub list: TargetList,
 }
 
@@ -167,7 +170,7 @@ impl ListRequest {
     }
 }
 
-/// COCO's mAP of the masks on the images of the list. A broken mask is none.
+/// COCO's mAP of the masks on the images of the list. Masks that cannot be decoded are left out.
 fn mask_map(
     split: &BopSplit,
     entries: &[ReferenceTarget],

@@ -15,17 +15,17 @@ use unopose_pairs::registration::{PairEstimator, PairPose, RegistrationError};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Switches {
     /// Global reference frame.
-    pub grf: bool,
+    pub(crate) grf: bool,
     /// Local reference frames.
-    pub lrf: bool,
+    pub(crate) lrf: bool,
     /// Fine stage.
-    pub fine: bool,
+    pub(crate) fine: bool,
     /// Overlap prediction.
-    pub overlap: bool,
+    pub(crate) overlap: bool,
 }
 
 impl Switches {
-    pub fn of(config: &ModelConfig) -> Self {
+    fn of(config: &ModelConfig) -> Self {
         Self {
             grf: config.use_grf,
             lrf: config.fine.use_lrf,
@@ -35,7 +35,7 @@ impl Switches {
     }
 
     /// `unopose`, or `sam6d-style` without frames and overlap, as the paper adapts SAM-6D.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         let Self { grf, lrf, overlap, .. } = self;
         if grf || lrf || overlap { "unopose" } else { "sam6d-style" }
     }
@@ -68,6 +68,7 @@ impl Network {
         Ok(Self { name, estimator })
     }
 
+    /// The ingredients that its configuration has.
     pub fn switches(&self) -> Switches {
         Switches::of(self.estimator.config())
     }

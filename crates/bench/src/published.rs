@@ -4,7 +4,7 @@ use super::Switches;
 
 /// A row of Table 2 ("Pose estimation results on LM-O, TUD-L, and YCB-V").
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PublishedRow {
+pub(crate) struct PublishedRow {
     pub method: &'static str,
     pub segmentation: &'static str,
     /// AR in percent on the dataset asked for.
@@ -37,7 +37,7 @@ const MAIN_LISTS: [&str; 2] = ["rot50", "crossscene_rot50"];
 
 /// Table 2 for a dataset, by the name of its folder (`lmo`, `tudl`, `ycbv`, dashes and case do not matter), and a list of
 /// the main experiment; empty for any other.
-pub fn published_rows(dataset: &str, list: &str) -> Vec<PublishedRow> {
+pub(crate) fn published_rows(dataset: &str, list: &str) -> Vec<PublishedRow> {
     let name = plain(dataset);
     let column = ["lmo", "tudl", "ycbv"].iter().position(|known| name == *known);
     let (Some(column), true) = (column, MAIN_LISTS.contains(&list)) else { return Vec::new() };
@@ -49,7 +49,7 @@ pub fn published_rows(dataset: &str, list: &str) -> Vec<PublishedRow> {
 
 /// A table of the paper.
 #[derive(Clone, Debug)]
-pub struct PublishedTable {
+pub(crate) struct PublishedTable {
     pub title: &'static str,
     pub columns: &'static [&'static str],
     pub rows: Vec<Vec<String>>,
@@ -58,7 +58,7 @@ pub struct PublishedTable {
 const SCORES: &[&str] = &["method", "VSD", "MSSD", "MSPD", "AR"];
 
 /// What the paper has for a dataset and a list.
-pub fn published_tables(dataset: &str, list: &str) -> Vec<PublishedTable> {
+pub(crate) fn published_tables(dataset: &str, list: &str) -> Vec<PublishedTable> {
     let main = published_rows(dataset, list);
     let mut tables = Vec::new();
     if !main.is_empty() {
@@ -128,7 +128,7 @@ const ANGULAR: [[&str; 5]; 6] = [
 
 /// A row of the ablations on YCB-V.
 #[derive(Clone, Copy, Debug)]
-pub struct PublishedAblation {
+pub(crate) struct PublishedAblation {
     pub row: &'static str,
     pub switches: Switches,
     /// VSD, MSSD, MSPD, AR.
@@ -136,7 +136,7 @@ pub struct PublishedAblation {
 }
 
 /// The ablations of the network's ingredients; empty for other datasets than YCB-V.
-pub fn published_ablation(dataset: &str) -> Vec<PublishedAblation> {
+pub(crate) fn published_ablation(dataset: &str) -> Vec<PublishedAblation> {
     if plain(dataset) != "ycbv" {
         return Vec::new();
     }

@@ -14,7 +14,7 @@ use unopose_dataset::formats::{FormatError, ReferenceTarget, detections::Detecti
 
 /// What a pair is: the target, its reference, and the mask.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct RecordKey {
+pub(crate) struct RecordKey {
     pub scene_id: u32,
     pub im_id: u32,
     pub obj_id: u32,
@@ -25,7 +25,7 @@ pub struct RecordKey {
 }
 
 impl RecordKey {
-    pub fn new(target: &ReferenceTarget, detection: &Detection) -> Self {
+    pub(crate) fn new(target: &ReferenceTarget, detection: &Detection) -> Self {
         let mut hasher = DefaultHasher::new();
         detection.segmentation.size.hash(&mut hasher);
         match &detection.segmentation.counts {
@@ -46,7 +46,7 @@ impl RecordKey {
 /// What became of a pair.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum PairOutcome {
+pub(crate) enum PairOutcome {
     /// Reference to query camera, metres.
     Posed { t_query_reference: Pose, score: f64, seconds: f64 },
     /// Why there is no pose.
@@ -55,7 +55,7 @@ pub enum PairOutcome {
 
 /// A line of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Record {
+pub(crate) struct Record {
     #[serde(flatten)]
     pub key: RecordKey,
     #[serde(flatten)]
@@ -64,7 +64,7 @@ pub struct Record {
 
 /// All results of one method on one dataset, in a file that grows line by line.
 #[derive(Debug)]
-pub struct Records {
+pub(crate) struct Records {
     known: HashMap<RecordKey, PairOutcome>,
     path: PathBuf,
     file: File,
@@ -73,7 +73,7 @@ pub struct Records {
 impl Records {
     /// Opens the file of a method in `folder`, made anew when absent. `identity` is everything the results depend on
     /// besides the pairs; another identity is another file. A last line that was cut off is dropped.
-    pub fn open(folder: &Path, name: &str, identity: &str) -> Result<Self, FormatError> {
+    pub(crate) fn open(folder: &Path, name: &str, identity: &str) -> Result<Self, FormatError> {
         let mut hasher = DefaultHasher::new();
         identity.hash(&mut hasher);
         let path = folder.join(format!("{name}-{:016x}.jsonl", hasher.finish()));
@@ -99,12 +99,12 @@ impl Records {
         Ok(Self { known, path, file })
     }
 
-    pub fn get(&self, key: &RecordKey) -> Option<&PairOutcome> {
+    pub(crate) fn get(&self, key: &RecordKey) -> Option<&PairOutcome> {
         self.known.get(key)
     }
 
     /// Keeps a result, on disk at once.
-    pub fn add(&mut self, key: RecordKey, outcome: PairOutcome) -> Result<(), FormatError> {
+    pub(crate) fn add(&mut self, key: RecordKey, outcome: PairOutcome) -> Result<(), FormatError> {
         let record = Record { key, outcome };
         let mut line = serde_json::to_string(&record)
             .map_err(|source| FormatError::Json { path: self.path.clone(), source })?;

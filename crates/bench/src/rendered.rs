@@ -23,7 +23,7 @@ const DEPTH_SCALE: f64 = 0.1;
 
 /// Draws the reference images of a list into the BOP split `folder`, numbered like the real ones; all annotated objects
 /// of an image hide each other as they do there. Depth is exact.
-pub fn render_references(
+pub(crate) fn render_references(
     dataset: &BopDataset,
     real: &BopSplit,
     targets: &[ReferenceTarget],

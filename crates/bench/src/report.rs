@@ -16,7 +16,11 @@ use super::{
 
 /// Writes `table.md`, `table.csv`, `table.json`, `recall.svg` and `index.html` into a folder, and `segmentation.csv` where the
 /// masks are our own.
-pub fn write_report(comparison: &Comparison, examples: &[Examples], folder: &Path) -> Result<(), BenchError> {
+pub(crate) fn write_report(
+    comparison: &Comparison,
+    examples: &[Examples],
+    folder: &Path,
+) -> Result<(), BenchError> {
     write_json(&folder.join("table.json"), comparison, true)?;
     let text =
         |name: &str, text: &str| write_atomic(&folder.join(name), |out| out.write_all(text.as_bytes()));

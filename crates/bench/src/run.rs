@@ -22,7 +22,7 @@ const FRAMES: usize = 128;
 
 /// A method's results on a target list.
 #[derive(Clone, Debug)]
-pub struct MethodRun {
+pub(crate) struct MethodRun {
     pub name: String,
     pub poses: TargetPoses,
     /// Pairs that were estimated now; the others were known.
@@ -31,9 +31,10 @@ pub struct MethodRun {
     pub relative: Vec<(ReferenceTarget, Pose)>,
 }
 
-/// Estimates all targets pair by pair, so that times are those of single pairs. What `cache` holds is not done again, nor
-/// is an estimate that only waits for another refinement. A target with several references takes, for each detection, the pose with the best score.
-pub fn run_method(
+/// Estimates all targets pair by pair, so that the times are those of single pairs. `cache` is the folder of the kept
+/// results: a pair that is in it is not estimated again, and a new refinement starts from the kept unrefined pose. A target
+/// with several references takes, for each detection, the pose with the best score.
+pub(crate) fn run_method(
     list: &TargetList,
     method: &Refined,
     cache: &Path,

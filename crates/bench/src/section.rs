@@ -17,7 +17,7 @@ pub(crate) struct Section {
 
 impl Section {
     /// A table alone.
-    pub fn table<C: Into<String>>(
+    pub(crate) fn table<C: Into<String>>(
         columns: impl IntoIterator<Item = C>,
         rows: impl IntoIterator<Item = Vec<String>>,
     ) -> Self {
@@ -29,17 +29,17 @@ impl Section {
     }
 
     /// Notes alone.
-    pub fn notes(notes: Vec<String>) -> Self {
+    pub(crate) fn notes(notes: Vec<String>) -> Self {
         Self { notes, ..Self::default() }
     }
 
     /// With a line above it.
-    pub fn titled(self, title: impl Into<String>) -> Self {
+    pub(crate) fn titled(self, title: impl Into<String>) -> Self {
         Self { title: title.into(), ..self }
     }
 
     /// A document of sections under a heading.
-    pub fn markdown(heading: &str, sections: impl IntoIterator<Item = Self>) -> String {
+    pub(crate) fn markdown(heading: &str, sections: impl IntoIterator<Item = Self>) -> String {
         let mut text = format!("# {heading}\n");
         let blocks = sections.into_iter().flat_map(|section| {
             let table = section.markdown_table();
@@ -61,13 +61,13 @@ impl Section {
     }
 
     /// Columns and rows. Cells have no commas.
-    pub fn csv(&self) -> String {
+    pub(crate) fn csv(&self) -> String {
         let lines = std::iter::once(&self.columns).chain(&self.rows);
         lines.map(|cells| cells.join(",") + "\n").collect()
     }
 
     /// The table alone.
-    pub fn html(&self) -> String {
+    pub(crate) fn html(&self) -> String {
         let head = (!self.columns.is_empty()).then_some((&self.columns, "th"));
         let rows = head.into_iter().chain(self.rows.iter().map(|row| (row, "td")));
         let line = |(cells, tag): (&Vec<String>, &str)| html_row(tag, cells.iter().map(|cell| escaped(cell)));

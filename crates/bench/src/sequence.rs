@@ -17,32 +17,32 @@ use super::{
 
 /// Errors of one query frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct FrameError {
-    pub frame: u32,
+pub(crate) struct FrameError {
+    pub(crate) frame: u32,
     /// `None` without a pose, with the reason.
-    pub rotation_deg: Option<f64>,
+    pub(crate) rotation_deg: Option<f64>,
     /// Of the centre of the reference's points, metres.
-    pub translation: Option<f64>,
-    pub seconds: Option<f64>,
-    pub reason: Option<String>,
+    pub(crate) translation: Option<f64>,
+    pub(crate) seconds: Option<f64>,
+    pub(crate) reason: Option<String>,
 }
 
 /// One method on a sequence.
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceRun {
-    pub method: String,
-    pub frames: Vec<FrameError>,
+    pub(crate) method: String,
+    pub(crate) frames: Vec<FrameError>,
     /// Mean, a frame without a pose counting as 180 degrees.
-    pub angular_error_deg: f64,
+    pub(crate) angular_error_deg: f64,
     #[serde(rename = "Acc15")]
-    pub acc15: f64,
+    pub(crate) acc15: f64,
     #[serde(rename = "Acc30")]
-    pub acc30: f64,
+    pub(crate) acc30: f64,
     /// Share of the frames within 5 degrees and 5 cm.
-    pub within_5deg_5cm: f64,
+    pub(crate) within_5deg_5cm: f64,
     /// Mean over the frames with a pose; -1 without any.
-    pub mean_time_per_pair_s: f64,
-    pub without_pose: usize,
+    pub(crate) mean_time_per_pair_s: f64,
+    pub(crate) without_pose: usize,
 }
 
 /// Every method with every refinement on every `step`-th frame but the reference; writes `sequence.json` and

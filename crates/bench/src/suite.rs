@@ -13,14 +13,17 @@ use super::{
 
 /// An estimator that takes part.
 pub struct Method {
+    /// Estimates pairs; its name is the method's.
     pub estimator: Box<dyn PairEstimator>,
-    /// Of a network.
+    /// A network's ingredients; `None` for other methods.
     pub switches: Option<Switches>,
 }
 
 /// Methods and what is common to their runs.
 pub struct Suite<'a> {
+    /// In the order of the tables' rows.
     pub methods: &'a [Method],
+    /// Every method is run with each of them.
     pub refinements: &'a [Refinement],
     /// Ingredients of an ablation table over the networks; no table without any.
     pub ablation: &'a [String],
@@ -28,7 +31,7 @@ pub struct Suite<'a> {
     pub cache: &'a Path,
     /// Targets that recall counts; those of the list when `None`.
     pub score_targets: Option<&'a Path>,
-    /// Of the intervals.
+    /// Seed of the resampling behind the intervals.
     pub seed: u64,
     /// Called with what is being done, the images done and all images.
     pub progress: &'a (dyn Fn(&str, usize, usize) + Sync),

@@ -13,9 +13,11 @@ use super::{
 /// Masks found by [`unopose_segment::segment_targets`] with one source of proposals.
 #[derive(Clone, Debug, Serialize)]
 pub struct UnoSegMasks {
-    /// Names of the proposal generator and of the matcher.
+    /// Name of the proposal generator.
     pub proposals: String,
+    /// Name of the matcher.
     pub matcher: String,
+    /// Accuracy against the annotated masks, and times.
     #[serde(flatten)]
     pub scores: SegmentationScores,
     /// The file of detections.

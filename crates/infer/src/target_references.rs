@@ -26,10 +26,10 @@ pub struct TargetReferences<'a> {
     cache: ReferenceCache<ReferenceKey>,
     /// Why a view cannot be used.
     unusable: BTreeMap<ReferenceKey, String>,
-    /// References made, and the seconds it took.
-    pub made: usize,
-    /// Seconds of making them.
-    pub seconds: f64,
+    /// Number of references made.
+    pub(crate) made: usize,
+    /// Seconds that this took.
+    pub(crate) seconds: f64,
 }
 
 /// A reference with the object's pose in its camera.
@@ -42,8 +42,8 @@ impl<'a> TargetReferences<'a> {
         Self { estimator, split, color, cache, unusable: BTreeMap::new(), made: 0, seconds: 0.0 }
     }
 
-    /// The most visible instance of the target's object in its reference view. The inner error is about the view's content; absent
-    /// files and annotations are the outer one.
+    /// The most visible instance of the target's object in its reference view. The inner error is about the view's
+    /// content; absent files and annotations are the outer one.
     pub fn get(&mut self, target: &ReferenceTarget) -> Result<Result<PosedReference, String>, InferError> {
         let key = (target.ref_scene_id, target.ref_im_id, target.obj_id);
         let (scene_id, im_id, obj_id) = key;

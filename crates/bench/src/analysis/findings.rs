@@ -6,7 +6,10 @@ use unopose_core::files::write_atomic;
 use unopose_dataset::formats::files::write_json;
 use unopose_eval::eval::{ROTATION_EDGES, VISIBILITY_EDGES};
 
-use super::{AnalysisError, PairRecord, Predicted, StageMeasures};
+use super::{
+    AnalysisError, PairRecord,
+    record::{PrecisionRecall, StageMeasures},
+};
 use crate::{cells, section::Section};
 
 /// Largest rotation error of a pose that is found, degrees.
@@ -166,8 +169,8 @@ fn mean(pairs: &[&PairRecord], of: fn(&PairRecord) -> Option<f64>) -> Option<f64
 
 fn overlap(
     pairs: &[&PairRecord],
-    side: fn(&StageMeasures) -> Predicted,
-    of: fn(Predicted) -> Option<f64>,
+    side: fn(&StageMeasures) -> PrecisionRecall,
+    of: fn(PrecisionRecall) -> Option<f64>,
 ) -> Option<f64> {
     let values: Vec<f64> = pairs.iter().filter_map(|r| of(side(&r.stages))).collect();
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)

@@ -12,7 +12,7 @@ const SAME_PLACE: f32 = 0.05;
 
 /// Differences for both balls of the positional encoding, over the query's points with a reference point at the same place.
 /// Clouds in radii; `None` without such points.
-pub fn frame_differences(
+pub(crate) fn frame_differences(
     query: &[[f32; 3]],
     reference: &[[f32; 3]],
     t_reference_query: &Pose,

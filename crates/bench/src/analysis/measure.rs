@@ -9,20 +9,20 @@ use unopose_pairs::data::{metric_pose, normalised_pose};
 
 use super::{
     local_frames::frame_differences,
-    record::{PoseError, Predicted, StageMeasures},
+    record::{PoseError, PrecisionRecall, StageMeasures},
 };
 
 /// Coarse matches count as right up to here, radii: about the spacing of the sparse points.
-pub const COARSE_DISTANCE: f32 = 0.3;
+pub(crate) const COARSE_DISTANCE: f32 = 0.3;
 /// Fine matches count as right up to here, radii.
-pub const FINE_DISTANCE: f32 = 0.1;
+pub(crate) const FINE_DISTANCE: f32 = 0.1;
 /// Points overlap when the other cloud has a point this near, radii (as in training).
 const OVERLAP_DISTANCE: f32 = 0.15;
 /// Overlaps above this are predicted.
 const PREDICTED: f32 = 0.5;
 
 /// The true poses of a pair: object to camera in both views.
-pub struct Truth<'a> {
+pub(crate) struct Truth<'a> {
     pub t_query_object: Pose,
     pub t_reference_object: Pose,
     pub object: &'a EvalObject,
@@ -30,7 +30,7 @@ pub struct Truth<'a> {
 
 impl Truth<'_> {
     /// Of the relative poses that the object's symmetries make equal, the one turned least against `near`.
-    pub fn relative(&self, near: &Pose) -> Pose {
+    pub(crate) fn relative(&self, near: &Pose) -> Pose {
         let t_object_reference = self.t_reference_object.inverse();
         let poses = self.object.symmetries.iter().map(|s| self.t_query_object * *s * t_object_reference);
         let closest = poses.min_by(|a, b| a.rotation_angle_deg(near).total_cmp(&b.rotation_angle_deg(near)));
@@ -38,12 +38,12 @@ impl Truth<'_> {
     }
 
     /// Object to query camera that a relative pose amounts to.
-    pub fn implied(&self, t_query_reference: &Pose) -> Pose {
+    pub(crate) fn implied(&self, t_query_reference: &Pose) -> Pose {
         *t_query_reference * self.t_reference_object
     }
 
     /// Error of a relative pose, against the nearest of the equal truths.
-    pub fn error(&self, t_query_reference: &Pose) -> PoseError {
+    pub(crate) fn error(&self, t_query_reference: &Pose) -> PoseError {
         let truth = self.relative(t_query_reference);
         let shift = self.implied(t_query_reference).translation_distance(&self.implied(&truth));
         PoseError {
@@ -54,7 +54,7 @@ impl Truth<'_> {
 }
 
 /// All stages of a trace.
-pub fn measure(
+pub(crate) fn measure(
     estimator: &PoseEstimator,
     query: &Query<'_>,
     trace: &Trace,
@@ -174,9 +174,9 @@ fn fine_matches(trace: &Trace, t_reference_query: &Pose, nearest: &[f32]) -> (Op
     (median, share(distances.iter().map(|&d| d <= FINE_DISTANCE)))
 }
 
-fn predicted(overlap: &[f32], nearest: &[f32]) -> Predicted {
+fn predicted(overlap: &[f32], nearest: &[f32]) -> PrecisionRecall {
     let points = || overlap.iter().zip(nearest).map(|(&o, &d)| (o > PREDICTED, d <= OVERLAP_DISTANCE));
-    Predicted {
+    PrecisionRecall {
         precision: share(points().filter(|(predicted, _)| *predicted).map(|(_, overlaps)| overlaps)),
         recall: share(points().filter(|(_, overlaps)| *overlaps).map(|(predicted, _)| predicted)),
     }
@@ -211,6 +211,6 @@ mod tests {
     fn precision_and_recall_of_overlap() {
         let found = predicted(&[0.9, 0.8, 0.2, 0.1, 0.6], &[0.0, 0.5, 0.1, 0.9, 0.1]);
         assert_eq!((found.precision, found.recall), (Some(2.0 / 3.0), Some(2.0 / 3.0)));
-        assert_eq!(predicted(&[0.1], &[0.9]), Predicted { precision: None, recall: None });
+        assert_eq!(predicted(&[0.1], &[0.9]), PrecisionRecall { precision: None, recall: None });
     }
 }

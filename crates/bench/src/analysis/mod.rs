@@ -16,5 +16,5 @@ mod run;
 pub use calibrate::{calibrate, judged, write_reliability};
 pub use error::AnalysisError;
 pub use findings::write_findings;
-pub use record::{FrameDifference, PairRecord, PoseError, Predicted, StageMeasures};
+pub use record::PairRecord;
 pub use run::analyse;

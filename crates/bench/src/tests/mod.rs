@@ -1,4 +1,4 @@
-//! A made dataset of two images of one square, a method whose poses and failures are known, and runs that are resumed.
+//! A synthetic dataset of two images of one square, a method whose poses and failures are known, and runs that are resumed.
 
 mod lists;
 mod networks;

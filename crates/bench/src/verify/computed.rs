@@ -23,7 +23,7 @@ pub(super) struct Computed(pub BTreeMap<String, Values>);
 
 impl Computed {
     /// A tensor of the device.
-    pub fn tensor<const D: usize>(
+    pub(crate) fn tensor<const D: usize>(
         &mut self,
         name: impl Into<String>,
         tensor: Tensor<D>,
@@ -35,7 +35,7 @@ impl Computed {
     }
 
     /// A batch of host values, the items of equal length; `shape` is that of one item.
-    pub fn items<T: Into<f64>>(
+    pub(crate) fn items<T: Into<f64>>(
         &mut self,
         name: impl Into<String>,
         shape: &[usize],
@@ -51,14 +51,14 @@ impl Computed {
     }
 
     /// A batch of clouds.
-    pub fn clouds<'a>(&mut self, name: &str, clouds: impl IntoIterator<Item = &'a [[f32; 3]]>) {
+    pub(crate) fn clouds<'a>(&mut self, name: &str, clouds: impl IntoIterator<Item = &'a [[f32; 3]]>) {
         let clouds: Vec<&[[f32; 3]]> = clouds.into_iter().collect();
         let n = clouds.first().map_or(0, |c| c.len());
         self.items(name, &[n, 3], clouds.iter().map(|c| c.as_flattened().iter().copied()));
     }
 
     /// A batch of poses as `prefix` + `R` and `t`.
-    pub fn poses<'a>(&mut self, prefix: &str, poses: impl Iterator<Item = &'a Pose> + Clone) {
+    pub(crate) fn poses<'a>(&mut self, prefix: &str, poses: impl Iterator<Item = &'a Pose> + Clone) {
         self.items(format!("{prefix}R"), &[3, 3], poses.clone().map(|p| p.rotation_row_major()));
         self.items(
             format!("{prefix}t"),
@@ -68,7 +68,7 @@ impl Computed {
     }
 
     /// Compares only the items (first axes) where `determined` is true.
-    pub fn restrict(&mut self, name: &str, determined: &[bool]) {
+    pub(crate) fn restrict(&mut self, name: &str, determined: &[bool]) {
         if let Some(values) = self.0.get_mut(name) {
             let each = values.values.len() / determined.len().max(1);
             values.compared = determined.iter().flat_map(|&d| std::iter::repeat_n(d, each)).collect();

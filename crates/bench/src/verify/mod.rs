@@ -18,15 +18,17 @@ mod training;
 
 pub use error::VerifyError;
 pub use inputs::{fit_config, guess_config};
-pub use report::{NOT_COMPUTED, Report, Row, Verdict};
-pub use tensors::{HostTensor, ReferenceTensors};
-pub use tolerance::{Tolerance, Tolerances};
+pub use report::Report;
+pub use tensors::ReferenceTensors;
+pub use tolerance::Tolerances;
 
 use std::collections::BTreeMap;
 
 use burn::tensor::Device;
 use unopose_core::config::{LossConfig, ModelConfig};
 use unopose_nn::model::UnoPose;
+
+use report::{Row, Verdict};
 
 /// What a file of reference tensors checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +45,7 @@ pub struct Subject<'a> {
     pub model: &'a UnoPose,
     /// As [`fit_config`] gives it.
     pub config: &'a ModelConfig,
+    /// Weights and distances of the training losses.
     pub loss: &'a LossConfig,
     /// Batches that each BatchNorm has seen, by buffer name; may be empty.
     pub batches_tracked: &'a BTreeMap<String, i64>,

@@ -3,18 +3,18 @@
 use std::fmt;
 
 use super::{
-    HostTensor,
     computed::Values,
+    tensors::HostTensor,
     tolerance::{Tolerance, matches},
 };
 
 /// Tensors that need not be computed, with the reason.
-pub const NOT_COMPUTED: [(&str, &str); 1] =
+const NOT_COMPUTED: [(&str, &str); 1] =
     [("buffer_after.*.num_batches_tracked", "the weights hold no such counter")];
 
 /// Outcome for one tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub(crate) enum Verdict {
     /// Read by the network.
     Input,
     /// Within the tolerance.
@@ -27,11 +27,15 @@ pub enum Verdict {
 
 /// Comparison of one tensor.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub(crate) struct Row {
     pub name: String,
+    /// As stored.
     pub shape: Vec<usize>,
+    /// Largest absolute difference of the compared entries; NaN without a comparison.
     pub max_difference: f64,
+    /// Mean absolute difference of the compared entries; NaN without a comparison.
     pub mean_difference: f64,
+    /// `None` without a comparison.
     pub tolerance: Option<Tolerance>,
     pub verdict: Verdict,
     /// What a number does not say.
@@ -41,7 +45,7 @@ pub struct Row {
 /// All rows of a file.
 #[derive(Clone, Debug)]
 pub struct Report {
-    pub rows: Vec<Row>,
+    pub(super) rows: Vec<Row>,
 }
 
 impl Row {
@@ -107,7 +111,7 @@ impl Row {
     }
 
     /// Whether this row speaks against the network.
-    pub fn fails(&self) -> bool {
+    pub(crate) fn fails(&self) -> bool {
         match self.verdict {
             Verdict::Input | Verdict::Ok => false,
             Verdict::Over => true,
@@ -117,7 +121,7 @@ impl Row {
 }
 
 impl Report {
-    pub fn count(&self, verdict: Verdict) -> usize {
+    fn count(&self, verdict: Verdict) -> usize {
         self.rows.iter().filter(|row| row.verdict == verdict).count()
     }
 

@@ -13,8 +13,9 @@ use super::VerifyError;
 
 /// A tensor on the host; `f64` holds every stored type exactly (64-bit integers up to 2^53).
 #[derive(Clone, Debug, PartialEq)]
-pub struct HostTensor {
+pub(crate) struct HostTensor {
     pub shape: Vec<usize>,
+    /// Row-major.
     pub values: Vec<f64>,
     /// Stored as integers or booleans.
     pub integer: bool,
@@ -24,7 +25,7 @@ pub struct HostTensor {
 #[derive(Clone, Debug)]
 pub struct ReferenceTensors {
     path: PathBuf,
-    pub tensors: BTreeMap<String, HostTensor>,
+    pub(super) tensors: BTreeMap<String, HostTensor>,
 }
 
 impl ReferenceTensors {
@@ -63,7 +64,7 @@ impl ReferenceTensors {
         Ok(Self { path: path.to_owned(), tensors })
     }
 
-    pub fn contains(&self, name: &str) -> bool {
+    pub(super) fn contains(&self, name: &str) -> bool {
         self.tensors.contains_key(name)
     }
 

@@ -10,7 +10,7 @@ use super::VerifyError;
 /// Bound of one tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(untagged)]
-pub enum Tolerance {
+pub(crate) enum Tolerance {
     /// Largest absolute difference; 0: equal.
     Absolute(f64),
     /// For gradients: L2 norm of the difference relative to the stored norm, and cosine between both.
@@ -69,7 +69,7 @@ impl Tolerances {
     }
 
     /// The bound of a tensor; integers without an entry must be equal.
-    pub fn of(&self, name: &str, integer: bool) -> Tolerance {
+    pub(super) fn of(&self, name: &str, integer: bool) -> Tolerance {
         let fallback = if integer { 0.0 } else { UNIT };
         best(&self.given, name)
             .or_else(|| best(&self.backend, name))

@@ -19,10 +19,13 @@ use crate::{
 
 /// What lists are made of.
 pub struct ListInput<'a> {
+    /// Split of the targets.
     pub split: &'a BopSplit,
+    /// Split of the reference views.
     pub reference_split: &'a BopSplit,
+    /// Diameters and symmetries by object id; every target's object is there.
     pub infos: &'a BTreeMap<u32, ModelInfo>,
-    /// For the overlap ratio; without an object's mesh its entries have none.
+    /// Meshes by object id, metres. They serve the overlap ratio; without an object's mesh its entries have none.
     pub meshes: &'a HashMap<u32, Arc<TriangleMesh>>,
     /// `None`: all instances that are visible enough and have a reference in another scene at most 50 degrees away.
     pub targets: Option<&'a [Target]>,
@@ -31,7 +34,9 @@ pub struct ListInput<'a> {
 /// A list of references.
 #[derive(Clone, Debug)]
 pub struct BuiltList {
+    /// How the references were chosen.
     pub protocol: Protocol,
+    /// Targets with their references, in the order of the targets.
     pub entries: Vec<ReferenceTarget>,
     /// Targets that have no such reference.
     pub without_reference: usize,
@@ -40,7 +45,9 @@ pub struct BuiltList {
 /// The lists with the targets they are about, one instance each.
 #[derive(Clone, Debug)]
 pub struct BuiltLists {
+    /// Those given, in their order; or those found, by scene and image.
     pub targets: Vec<Target>,
+    /// In the order of the protocols asked for.
     pub lists: Vec<BuiltList>,
 }
 

@@ -18,16 +18,18 @@ pub enum Protocol {
     Rot90,
     /// The same view for all targets of an object, however far.
     OnePerObject,
-    /// Out of so many views per object: one within 50 degrees if there is any, else the nearest.
+    /// From this many views per object: one within 50 degrees if there is any, else the nearest.
     FewPerObject(usize),
 }
 
 /// A view that can be a target's reference.
 #[derive(Clone, Copy, Debug)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Number of the view.
     pub view: usize,
+    /// Angle to the target's view, up to symmetry.
     pub degrees: f64,
+    /// Whether it is from another scene than the target.
     pub other_scene: bool,
 }
 

@@ -2,15 +2,32 @@
 
 use crate::{formats::FormatError, mesh::MeshError};
 
-/// Error of the `protocol` room.
+/// Error of building a list.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ProtocolError {
+    /// The dataset cannot be read.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// A model cannot be read.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// No protocol has this name.
     #[error("unknown list {name:?}, expected one of {}", .expected.join(", "))]
-    Name { name: String, expected: Vec<String> },
+    Name {
+        /// The unknown name.
+        name: String,
+        /// Names of the lists that `unogen` writes.
+        expected: Vec<String>,
+    },
+    /// A list would be empty.
     #[error("{place}: none of {targets} targets has a reference view for the list {list}")]
-    NoReferences { place: String, list: String, targets: usize },
+    NoReferences {
+        /// Folder of the dataset.
+        place: String,
+        /// Name of the protocol.
+        list: String,
+        /// Number of targets, none of which has a reference.
+        targets: usize,
+    },
 }

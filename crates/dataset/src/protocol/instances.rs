@@ -12,7 +12,7 @@ const TARGET: (f64, f64) = (0.1, 150.0);
 const REFERENCE: (f64, f64) = (0.7, 900.0);
 
 /// An annotated instance.
-pub struct AnnotatedInstance {
+pub(crate) struct AnnotatedInstance {
     pub scene_id: u32,
     pub im_id: u32,
     pub instance: usize,
@@ -29,12 +29,12 @@ pub struct AnnotatedInstance {
 }
 
 impl AnnotatedInstance {
-    pub fn can_be_target(&self) -> bool {
+    pub(crate) fn can_be_target(&self) -> bool {
         self.passes(TARGET)
     }
 
     /// Occluded by less than 30 %, large enough, and not cut by the border.
-    pub fn can_be_reference(&self) -> bool {
+    pub(crate) fn can_be_reference(&self) -> bool {
         self.whole && self.passes(REFERENCE)
     }
 
@@ -42,22 +42,22 @@ impl AnnotatedInstance {
         self.visib_fract >= visib_fract && self.px_count_visib >= pixels * self.scale
     }
 
-    pub fn in_scene_of(&self, other: &Self) -> bool {
+    pub(crate) fn in_scene_of(&self, other: &Self) -> bool {
         self.scene == other.scene
     }
 
-    pub fn in_image_of(&self, other: &Self) -> bool {
+    pub(crate) fn in_image_of(&self, other: &Self) -> bool {
         self.im_id == other.im_id && self.in_scene_of(other)
     }
 
     /// The image, for sets.
-    pub fn image(&self) -> (Arc<PathBuf>, u32) {
+    pub(crate) fn image(&self) -> (Arc<PathBuf>, u32) {
         (self.scene.clone(), self.im_id)
     }
 }
 
 /// All annotated instances of a split, by scene and image.
-pub fn annotated_instances(split: &BopSplit) -> Result<Vec<AnnotatedInstance>, FormatError> {
+pub(crate) fn annotated_instances(split: &BopSplit) -> Result<Vec<AnnotatedInstance>, FormatError> {
     let mut found = Vec::new();
     for &scene_id in split.scene_ids() {
         let scene = split.scene(scene_id)?;
@@ -73,7 +73,10 @@ pub fn annotated_instances(split: &BopSplit) -> Result<Vec<AnnotatedInstance>, F
 }
 
 /// The most visible instance of every target.
-pub fn target_instances(split: &BopSplit, targets: &[Target]) -> Result<Vec<AnnotatedInstance>, FormatError> {
+pub(crate) fn target_instances(
+    split: &BopSplit,
+    targets: &[Target],
+) -> Result<Vec<AnnotatedInstance>, FormatError> {
     let mut found = Vec::new();
     for target in targets {
         let scene = split.scene(target.scene_id)?;

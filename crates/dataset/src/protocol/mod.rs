@@ -18,7 +18,7 @@ mod target_walk;
 pub use build::{BuiltList, BuiltLists, ListInput, build_lists};
 pub use choice::Protocol;
 pub use error::ProtocolError;
-pub use overlap::VisibleSurface;
+use overlap::VisibleSurface;
 pub use target_list::{TargetFiles, TargetList};
 pub use target_poses::{ImagePoses, NO_DETECTION, Rejection, TargetPoses, best_outcome};
 pub use target_walk::{ImageTargets, MIN_DETECTION_SCORE, ObjectTargets};

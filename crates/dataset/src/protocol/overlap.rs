@@ -17,13 +17,18 @@ const NEAR: f32 = 0.004;
 const NEAR_SHARE: f32 = 0.03;
 
 /// Noise-free visible surface of an instance, object frame.
-pub struct VisibleSurface {
+pub(crate) struct VisibleSurface {
     points: Vec<[f32; 3]>,
     tree: Option<ImmutableKdTree<f32, 3>>,
 }
 
 impl VisibleSurface {
-    pub fn new(mesh: &TriangleMesh, t_camera_object: &Pose, camera: &Intrinsics, visible: &Mask) -> Self {
+    pub(crate) fn new(
+        mesh: &TriangleMesh,
+        t_camera_object: &Pose,
+        camera: &Intrinsics,
+        visible: &Mask,
+    ) -> Self {
         let drawn = render_depth(mesh, t_camera_object, camera, visible.width, visible.height);
         let t_object_camera = t_camera_object.inverse();
         let points: Vec<[f32; 3]> = visible
@@ -41,7 +46,7 @@ impl VisibleSurface {
     }
 
     /// Share of the points of this view that `other` has, too.
-    pub fn overlap_with(&self, other: &Self, diameter: f32) -> f64 {
+    pub(crate) fn overlap_with(&self, other: &Self, diameter: f32) -> f64 {
         let near = NEAR.max(NEAR_SHARE * diameter);
         let Some(tree) = &other.tree else { return 0.0 };
         let seen = |p: &&[f32; 3]| tree.nearest_one::<SquaredEuclidean>(p).distance <= near * near;

@@ -20,25 +20,31 @@ pub struct TargetFiles {
     pub reference_split: Option<String>,
     /// List of targets with their reference views.
     pub targets: PathBuf,
+    /// List of detections.
     pub detections: PathBuf,
-    /// Only the first so many entries of the list.
+    /// At most this many entries of the list, from its start.
     pub limit: Option<usize>,
 }
 
 /// Everything that is needed to estimate the poses of a target list.
 #[derive(Debug)]
 pub struct TargetList {
+    /// Models, cameras and splits.
     pub dataset: BopDataset,
+    /// Split of the targets.
     pub split: BopSplit,
-    /// `None`: the targets' split.
+    /// Split of the reference views; `None`: the targets' split.
     pub reference_split: Option<BopSplit>,
+    /// In the order of the list; a target with several references has as many entries.
     pub targets: Vec<ReferenceTarget>,
+    /// Usable detections of the targets' images, in the order of the file.
     pub detections: Vec<Detection>,
     /// Detections of the targets' images that cannot be used.
     pub skipped: Vec<SkippedDetection>,
 }
 
 impl TargetList {
+    /// Reads all files and checks them against the annotations.
     pub fn open(files: &TargetFiles) -> Result<Self, FormatError> {
         let dataset = BopDataset::open(&files.dataset)?;
         let split = match &files.split {

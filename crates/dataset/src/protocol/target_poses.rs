@@ -31,7 +31,7 @@ pub struct TargetPoses {
     pub results: Vec<PoseResult>,
     /// Instances without a pose, in the order of the walk.
     pub rejections: Vec<Rejection>,
-    /// Instances compared with a reference.
+    /// Comparisons of an instance with a reference.
     pub pairs: usize,
     /// Seconds of all pairs, references included, files excluded.
     pub seconds: f64,

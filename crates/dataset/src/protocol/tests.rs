@@ -1,4 +1,4 @@
-//! A made dataset of one square on the optical axis, turned about the vertical from image to image.
+//! A synthetic dataset of one square on the optical axis, turned about the vertical from image to image.
 
 use std::{
     collections::{BTreeMap, HashMap},
