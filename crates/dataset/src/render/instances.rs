@@ -13,13 +13,16 @@ use super::{
 pub struct InstanceView {
     /// Silhouette inside the image, hidden parts included.
     pub mask: Mask,
+    /// The visible part of the silhouette.
     pub mask_visib: Mask,
     /// Silhouette pixels, also outside the image.
     pub px_count_all: u32,
+    /// Visible pixels.
     pub px_count_visib: u32,
     /// Column, row, width, height of the whole silhouette (may leave the image), as in the BOP toolkit: width =
     /// last - first column; all -1 when nothing is seen.
     pub bbox_obj: [i32; 4],
+    /// The same of the visible part.
     pub bbox_visib: [i32; 4],
     /// `px_count_visib / px_count_all`, 0 for an empty silhouette.
     pub visib_fract: f64,

@@ -9,7 +9,7 @@ use super::{
     shading::{Reflection, Shaded},
     shadow::ShadowMap,
     surfel::{SurfaceKey, Surfel},
-    texture::{self, Wrap},
+    texture,
 };
 
 /// A scene with its shadow maps.
@@ -88,7 +88,7 @@ impl<'a> LitScene<'a> {
             Some(picture) if !mesh.uvs.is_empty() => {
                 let [p, q, r] = [i, j, k].map(|v| mesh.uvs[v]);
                 let uv = std::array::from_fn(|axis| a * p[axis] + b * q[axis] + c * r[axis]);
-                texture::sample(picture, uv, Wrap::Repeat)
+                texture::sample(picture, uv)
             }
             _ if !mesh.colors.is_empty() => texture::color_to_linear(mesh.colors[i]),
             _ => [0.5; 3],

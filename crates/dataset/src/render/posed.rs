@@ -10,7 +10,7 @@ use unopose_core::{
 
 use super::{
     Camera, Finish, InstanceView, Light, Placed, Room, Scene, SceneRenderer, Surface, instance_views,
-    texture::linear_to_srgb,
+    linear_to_srgb,
 };
 use crate::mesh::TriangleMesh;
 

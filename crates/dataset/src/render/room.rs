@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::{
     camera::Camera,
     scene::{Block, Finish, Room, Surface},
-    texture::{self, Wrap},
+    texture,
 };
 
 /// Where a ray meets the surroundings.
@@ -199,7 +199,7 @@ impl Surface {
     fn hit(&self, normal: Vector3<f32>, at: [f32; 2]) -> RoomHit {
         let (s, c) = self.angle.sin_cos();
         let uv = [(c * at[0] + s * at[1]) / self.tile, (-s * at[0] + c * at[1]) / self.tile];
-        RoomHit { normal, albedo: texture::sample(&self.picture, uv, Wrap::Repeat), finish: self.finish }
+        RoomHit { normal, albedo: texture::sample(&self.picture, uv), finish: self.finish }
     }
 }
 

@@ -27,6 +27,7 @@ pub struct Rendering {
     pub incidence: Vec<f32>,
     /// Luminance of the surface colour, linear.
     pub albedo: Vec<f32>,
+    /// Reflection properties of the surface.
     pub finish: Vec<Finish>,
 }
 
@@ -37,6 +38,7 @@ pub struct SceneRenderer<'a> {
 }
 
 impl<'a> SceneRenderer<'a> {
+    /// Makes the shadow maps of all lights.
     pub fn new(scene: &'a Scene) -> Self {
         Self { lit_scene: LitScene::new(scene), bounces: None }
     }

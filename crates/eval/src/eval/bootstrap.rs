@@ -11,8 +11,11 @@ use super::TargetOutcome;
 /// A value with its 95 % interval (percentiles of the resampled values).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
+    /// Mean over all targets.
     pub value: f64,
+    /// 2.5th percentile.
     pub low: f64,
+    /// 97.5th percentile.
     pub high: f64,
 }
 

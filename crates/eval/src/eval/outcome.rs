@@ -16,18 +16,19 @@ use super::{
 /// All errors of an estimated pose against a true one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseErrors {
-    /// By tau, each 0..=1.
+    /// Visible surface discrepancy by tolerance tau, 0.05 to 0.5 of the diameter, each in 0..=1.
     pub vsd: [f64; TAUS],
-    /// Metres; infinite (null in JSON) when the bounding spheres do not meet.
+    /// Maximum symmetry-aware surface distance, metres; infinite (null in JSON) when the bounding spheres do not meet.
     pub mssd: f64,
-    /// Pixels.
+    /// Maximum symmetry-aware projection distance, pixels of the image.
     pub mspd: f64,
-    /// Average distances of model points, metres; infinite (null in JSON) when the bounding spheres do not meet.
+    /// Average distance of the model points, metres; infinite (null in JSON) when the bounding spheres do not meet.
     pub add: f64,
+    /// Average distance of the model points to the nearest one of the other pose, metres; infinite as `add`.
     pub add_s: f64,
-    /// Smallest over the symmetries.
+    /// Rotation angle to the true pose, smallest over the symmetries, degrees.
     pub rotation_deg: f64,
-    /// Metres.
+    /// Distance of the object's origin from its true place, metres.
     pub translation: f64,
 }
 
@@ -67,19 +68,27 @@ impl PoseErrors {
 /// Was a target found, by threshold?
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Hits {
+    /// `[tau][threshold]`.
     pub vsd: [[bool; THRESHOLDS]; TAUS],
+    /// By threshold, 0.05 to 0.5 of the diameter.
     pub mssd: [bool; THRESHOLDS],
+    /// By threshold, 5 to 50 pixels at an image width of 640.
     pub mspd: [bool; THRESHOLDS],
 }
 
 /// What became of one target instance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct TargetOutcome {
+    /// Scene of the target.
     pub scene_id: u32,
+    /// Image of the target in its scene.
     pub im_id: u32,
+    /// Object of the target.
     pub obj_id: u32,
     /// Index in `scene_gt.json`.
     pub gt_index: usize,
+    /// Visible share of the instance's silhouette, 0..=1.
     pub visib_fract: f64,
     /// Degrees between target and reference view, where known.
     pub rot_deg: Option<f64>,
@@ -90,8 +99,9 @@ pub struct TargetOutcome {
     /// Errors of the estimate that answers this target, `None` without one: in the order of their scores the estimates
     /// take the free instance that is nearest.
     pub errors: Option<PoseErrors>,
+    /// Thresholds at which BOP's matching credits an estimate to this target.
     #[serde(skip)]
-    pub hits: Hits,
+    pub(crate) hits: Hits,
 }
 
 impl TargetOutcome {

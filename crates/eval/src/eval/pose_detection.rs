@@ -19,8 +19,9 @@ pub const MAX_ESTIMATES: usize = 100;
 /// The estimates of one object in one image.
 #[derive(Clone, Debug)]
 pub struct ObjectEstimates {
+    /// Object of all of them.
     pub obj_id: u32,
-    /// Descending.
+    /// Of the estimates, descending.
     pub scores: Vec<f64>,
     /// `[estimate][instance]`, shares of the diameter.
     pub mssd: Vec<Vec<f64>>,
@@ -32,12 +33,15 @@ pub struct ObjectEstimates {
 
 /// Mean average precisions, each in 0..=1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct PoseMap {
-    /// Mean of the two.
+    /// Mean of those of MSSD and MSPD.
     #[serde(rename = "mAP")]
     pub map: f64,
+    /// With MSSD as error, thresholds 0.05 to 0.5 of the diameter.
     #[serde(rename = "mAP_MSSD")]
     pub map_mssd: f64,
+    /// With MSPD as error, thresholds 5 to 50 pixels at an image width of 640.
     #[serde(rename = "mAP_MSPD")]
     pub map_mspd: f64,
     /// Average precision by object, mean of both errors.
@@ -47,7 +51,7 @@ pub struct PoseMap {
 
 impl PoseMap {
     /// Means over the thresholds, then over the objects that have an instance to be found.
-    pub fn new(images: &[ObjectEstimates]) -> Self {
+    pub(super) fn new(images: &[ObjectEstimates]) -> Self {
         let mut objects: BTreeMap<u32, Vec<&ObjectEstimates>> = BTreeMap::new();
         for image in images {
             objects.entry(image.obj_id).or_default().push(image);

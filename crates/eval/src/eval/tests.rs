@@ -20,7 +20,10 @@ use unopose_dataset::{
     mesh::{TriangleMesh, ply},
 };
 
-use super::*;
+use super::{
+    pose_error::{add, add_s, mspd, mssd, rotation_error_deg},
+    *,
+};
 
 const DIAMETER: f64 = 0.282_842_712_474_619;
 

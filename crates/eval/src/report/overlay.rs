@@ -26,7 +26,7 @@ const MASK_COLORS: [Rgb<u8>; 8] = [
 ];
 
 /// Draws `points` (metres, reference camera) moved by `t_query_reference`, each mixed half with what is below it.
-pub fn draw_points(
+fn draw_points(
     image: &mut RgbImage,
     camera: &Intrinsics,
     t_query_reference: &Pose,
@@ -46,7 +46,7 @@ pub fn draw_points(
 
 /// Draws the reference camera's axes (red x, green y, blue z; `length` metres) at the mean of `points`, moved by
 /// `t_query_reference`.
-pub fn draw_axes(
+fn draw_axes(
     image: &mut RgbImage,
     camera: &Intrinsics,
     t_query_reference: &Pose,

@@ -1,7 +1,7 @@
 //! The pose between two views of an object.
 
 use unopose_core::geometry::{Pose, nearest_distances};
-use unopose_dataset::formats::symmetry::ObjectSymmetries;
+use unopose_dataset::formats::ObjectSymmetries;
 
 /// Step of continuous symmetries: 315 rotations, one every 1.1 degrees.
 const SYMMETRY_STEP: f64 = 0.01;
@@ -38,7 +38,7 @@ pub fn overlap_share(
 #[cfg(test)]
 mod tests {
     use nalgebra::{Matrix3, Rotation3, Vector3};
-    use unopose_dataset::formats::symmetry::SymmetryAxis;
+    use unopose_dataset::formats::SymmetryAxis;
 
     use super::*;
 

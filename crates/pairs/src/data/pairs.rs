@@ -12,9 +12,8 @@ use unopose_core::{
     geometry::{BallGroups, Pose},
 };
 use unopose_dataset::formats::{
-    AnnotatedFrame, FormatError,
+    AnnotatedFrame, FormatError, ObjectSymmetries,
     megapose::{InstanceRef, ShardDataset},
-    symmetry::ObjectSymmetries,
 };
 
 use super::{
@@ -39,7 +38,9 @@ const NOISE_STREAM: u64 = 1 << 63;
 /// One prepared training pair.
 #[derive(Clone, Debug)]
 pub struct TrainSample {
+    /// The query view; its dense points are in radii of the reference.
     pub query: CloudInput,
+    /// The reference view with its neighbourhoods.
     pub reference: PreparedReference,
     /// Between the normalised matching frames: q = R p + t.
     pub t_query_reference: Pose,
@@ -47,6 +48,7 @@ pub struct TrainSample {
     pub t_init: Pose,
     /// Neighbourhoods of the query points moved by the inverse of `t_init`.
     pub query_groups: [BallGroups; 2],
+    /// The instances that make the pair.
     pub key: PairKey,
 }
 
@@ -55,19 +57,27 @@ pub struct TrainSample {
 pub struct PairKey {
     /// Sample number.
     pub index: u64,
+    /// Object that both views show.
     pub obj_id: u32,
+    /// Number of the query's image in the dataset.
     pub query_image: u32,
+    /// Index of the query in its image's annotation.
     pub query_instance: u32,
+    /// Number of the reference's image in the dataset.
     pub reference_image: u32,
+    /// Index of the reference in its image's annotation.
     pub reference_instance: u32,
 }
 
 /// Annotated images with an index of their instances.
 pub trait FrameSource: Send + Sync {
+    /// All instances that may be a query or a reference.
     fn instances(&self) -> &[InstanceRef];
     /// Indices into [`Self::instances`] of the views of an object that may serve as reference.
     fn references(&self, obj_id: u32) -> &[usize];
+    /// Reads and decodes an image by its number in the dataset.
     fn load(&self, image: u32) -> Result<AnnotatedFrame, FormatError>;
+    /// Symmetries of an object; none for an unknown one.
     fn symmetries(&self, obj_id: u32) -> &ObjectSymmetries;
 }
 

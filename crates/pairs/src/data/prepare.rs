@@ -39,10 +39,11 @@ pub struct CloudInput {
 /// A reference view, prepared once for all its queries.
 #[derive(Clone, Debug)]
 pub struct PreparedReference {
+    /// The view as the network takes it.
     pub cloud: CloudInput,
     /// Largest distance of the sampled reference points to their mean, metres.
     pub radius: f32,
-    /// Neighbourhoods of the dense points.
+    /// Neighbourhoods of the dense points at both scales of the positional encoding.
     pub groups: [BallGroups; 2],
 }
 

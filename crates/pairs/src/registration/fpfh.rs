@@ -11,7 +11,7 @@ use super::surface::{Surface, vector};
 /// Bins per angle.
 const BINS: usize = 11;
 /// Length of a descriptor: three angles.
-pub const FPFH_LENGTH: usize = 3 * BINS;
+const FPFH_LENGTH: usize = 3 * BINS;
 
 /// A descriptor of a point; each of the three histograms sums up to 200 (100 of the point's own neighbours, 100 of
 /// theirs).

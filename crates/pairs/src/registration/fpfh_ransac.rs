@@ -17,6 +17,7 @@ pub struct FpfhRansac {
     pub cells: f64,
     /// Most similar features that every point is matched with.
     pub nearest: usize,
+    /// Most samples that are drawn.
     pub iterations: usize,
     /// Sides of a triangle of matches may differ by this factor.
     pub edge_similarity: f32,
@@ -26,6 +27,7 @@ pub struct FpfhRansac {
     pub confidence: f64,
     /// Poses with the most agreeing matches of which that with the best surface fit is taken.
     pub verified: usize,
+    /// Seed of the samples.
     pub seed: u64,
 }
 

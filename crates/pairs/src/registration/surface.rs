@@ -16,19 +16,21 @@ const STRAY_CELLS: f32 = 4.0;
 /// Eigenvalue of the normalised normal equations below which nothing but noise holds a direction.
 const OPEN_EIGENVALUE: f64 = 1e-3;
 /// Fewest points of a surface.
-pub const MIN_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 
 /// A thinned surface in its camera's frame, metres.
 pub struct Surface {
+    /// Mean point of every occupied cell.
     pub points: Vec<[f32; 3]>,
     /// Unit vectors towards the camera.
-    pub normals: Vec<Vector3<f64>>,
+    pub(super) normals: Vec<Vector3<f64>>,
     tree: ImmutableKdTree<f32, 3>,
     /// Side of the thinning cells.
-    pub cell: f32,
-    pub center: Vector3<f64>,
+    pub(super) cell: f32,
+    /// Mean of the points.
+    pub(super) center: Vector3<f64>,
     /// Twice the distance to the centre that 95 % of the points stay below.
-    pub extent: f64,
+    pub(super) extent: f64,
 }
 
 /// A point near another one.
@@ -59,14 +61,14 @@ impl Surface {
     }
 
     /// With a pose to find: an error for a plane or a sphere, which three or more directions of motion map onto themselves.
-    pub fn with_pose(self) -> Result<Self, RegistrationError> {
+    pub(super) fn with_pose(self) -> Result<Self, RegistrationError> {
         let open = self.open_directions();
         if open < 3 { Ok(self) } else { Err(RegistrationError::Degenerate { open }) }
     }
 
     /// The same surface seen from elsewhere.
     #[cfg(test)]
-    pub fn moved(&self, motion: &Pose) -> Self {
+    pub(super) fn moved(&self, motion: &Pose) -> Self {
         let points: Vec<[f32; 3]> = self.points.iter().map(|p| motion.transform_f32(p)).collect();
         Self {
             tree: ImmutableKdTree::new_from_slice(&points),
@@ -78,13 +80,13 @@ impl Surface {
     }
 
     /// Nearest point.
-    pub fn nearest(&self, p: &[f32; 3]) -> Neighbor {
+    pub(super) fn nearest(&self, p: &[f32; 3]) -> Neighbor {
         let nearest = self.tree.nearest_one::<SquaredEuclidean>(p);
         Neighbor { index: nearest.item as usize, squared_distance: nearest.distance }
     }
 
     /// All points closer than `radius`, in no particular order.
-    pub fn within(&self, p: &[f32; 3], radius: f32) -> Vec<Neighbor> {
+    pub(super) fn within(&self, p: &[f32; 3], radius: f32) -> Vec<Neighbor> {
         let found = self.tree.within_unsorted::<SquaredEuclidean>(p, radius * radius);
         let neighbor = |n: &kiddo::NearestNeighbour<f32, u64>| Neighbor {
             index: n.item as usize,
@@ -95,7 +97,7 @@ impl Surface {
 
     /// Directions of motion that the normals leave open: of the six, those along which all points slide on themselves. Three
     /// for a plane, one for a cylinder or a body of revolution, three for a sphere.
-    pub fn open_directions(&self) -> usize {
+    fn open_directions(&self) -> usize {
         let rows = self.points.iter().zip(&self.normals).map(|(p, n)| {
             let moment = ((vector(p) - self.center) / (0.5 * self.extent)).cross(n);
             Vector6::new(moment.x, moment.y, moment.z, n.x, n.y, n.z)
@@ -105,7 +107,7 @@ impl Surface {
     }
 
     /// Share of the points of another surface that lie closer than `distance` metres to this one once moved.
-    pub fn share_of(&self, other: &Surface, t_this_other: &Pose, distance: f32) -> f64 {
+    pub(super) fn share_of(&self, other: &Surface, t_this_other: &Pose, distance: f32) -> f64 {
         let near = |p: &&[f32; 3]| {
             self.nearest(&t_this_other.transform_f32(p)).squared_distance < distance * distance
         };
@@ -130,7 +132,7 @@ pub fn finite(points: &[[f32; 3]]) -> Vec<[f32; 3]> {
 }
 
 /// Mean point of every occupied cell, in the order of the cells.
-pub fn thin(points: &[[f32; 3]], cell: f32) -> Vec<[f32; 3]> {
+fn thin(points: &[[f32; 3]], cell: f32) -> Vec<[f32; 3]> {
     let mut keyed: Vec<([i32; 3], u32)> =
         points.iter().zip(0..).map(|(p, i)| (p.map(|x| (x / cell).floor() as i32), i)).collect();
     keyed.sort_unstable();

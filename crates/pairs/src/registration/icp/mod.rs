@@ -20,7 +20,7 @@ use super::surface::{self, Surface};
 use iterate::iterate;
 use motion::{MAX_SHIFT, MAX_TURN_DEG, motion};
 use residual::residual;
-pub use settings::{IcpSettings, Metric};
+pub use settings::IcpSettings;
 
 /// Cells along the reference's extent: about 2500 points of a filled view.
 const CELLS: f64 = 70.0;
