@@ -80,5 +80,5 @@ pub enum InvalidMesh {
     },
     /// No face has an area.
     #[error("all faces have zero area")]
-    Flat,
+    ZeroArea,
 }

@@ -88,7 +88,7 @@ impl TriangleMesh {
                 return Err(InvalidMesh::FaceIndex { face, vertex, vertices });
             }
         }
-        if self.area() <= 0.0 { Err(InvalidMesh::Flat) } else { Ok(()) }
+        if self.area() <= 0.0 { Err(InvalidMesh::ZeroArea) } else { Ok(()) }
     }
 
     /// Multiplies the coordinates of the vertices.

@@ -26,6 +26,6 @@ mod view;
 pub use camera::Camera;
 pub use instances::{InstanceView, instance_views};
 pub use posed::{PosedView, posed_view};
-pub use scene::{Block, Finish, Light, Placed, Room, Scene, Surface};
+pub use scene::{Block, Finish, Light, PosedMesh, Room, Scene, Surface};
 pub use texture::linear_to_srgb;
 pub use view::{Rendering, SceneRenderer};

@@ -19,7 +19,7 @@ pub struct Finish {
 
 /// A posed mesh. The mesh carries normals, and texture or vertex colours.
 #[derive(Clone, Debug)]
-pub struct Placed {
+pub struct PosedMesh {
     /// Object frame, metres.
     pub mesh: Arc<TriangleMesh>,
     /// Of the whole surface.
@@ -88,7 +88,7 @@ pub struct Room {
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Meshes that get ids, masks and poses.
-    pub objects: Vec<Placed>,
+    pub objects: Vec<PosedMesh>,
     /// Surroundings of the objects.
     pub room: Room,
     /// Lights with shadows.

@@ -34,7 +34,7 @@ pub use coco::{CocoScores, RegionKind, coco_scores};
 pub use error::EvalError;
 pub use object::EvalObject;
 pub use outcome::{PoseErrors, TargetOutcome};
-pub use pose_detection::PoseMap;
+pub use pose_detection::PoseAveragePrecision;
 pub use reliability::{Reliability, ReliabilityBin};
 pub use scores::{AverageRecall, BinScore, Scores};
 pub use scoring::{Evaluation, ScoreFiles, score_files};

@@ -34,7 +34,7 @@ pub struct ObjectEstimates {
 /// Mean average precisions, each in 0..=1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct PoseMap {
+pub struct PoseAveragePrecision {
     /// Mean of those of MSSD and MSPD.
     #[serde(rename = "mAP")]
     pub map: f64,
@@ -49,7 +49,7 @@ pub struct PoseMap {
     pub per_object: BTreeMap<u32, f64>,
 }
 
-impl PoseMap {
+impl PoseAveragePrecision {
     /// Means over the thresholds, then over the objects that have an instance to be found.
     pub(super) fn new(images: &[ObjectEstimates]) -> Self {
         let mut objects: BTreeMap<u32, Vec<&ObjectEstimates>> = BTreeMap::new();
@@ -116,24 +116,25 @@ mod tests {
     fn false_alarms_cost_and_ignored_instances_do_not() {
         // Right at all ten thresholds; a worse scored false alarm does not matter, a better scored one halves it.
         let right = image(1, &[(0.9, &[0.01]), (0.2, &[0.9])], &[true]);
-        assert_eq!(PoseMap::new(std::slice::from_ref(&right)).map, 1.0);
+        assert_eq!(PoseAveragePrecision::new(std::slice::from_ref(&right)).map, 1.0);
         let late = image(1, &[(0.9, &[0.9]), (0.2, &[0.01])], &[true]);
-        assert!((PoseMap::new(&[late]).map - 0.5).abs() < 1e-12);
+        assert!((PoseAveragePrecision::new(&[late]).map - 0.5).abs() < 1e-12);
         // The better scored one lies on an ignored instance.
         let ignored = image(1, &[(0.9, &[0.9, 0.01]), (0.2, &[0.01, 0.9])], &[true, false]);
-        assert_eq!(PoseMap::new(&[ignored]).map, 1.0);
+        assert_eq!(PoseAveragePrecision::new(&[ignored]).map, 1.0);
         // An estimate where there is no instance is a false alarm, too.
         let nowhere = image(1, &[(0.95, &[])], &[]);
-        assert!((PoseMap::new(&[right, nowhere]).map - 0.5).abs() < 1e-12);
+        assert!((PoseAveragePrecision::new(&[right, nowhere]).map - 0.5).abs() < 1e-12);
     }
 
     #[test]
     fn thresholds_and_objects_are_averaged() {
         // 0.26 of the diameter is below 5 of 10 thresholds, 26 pixels as well; object 2 is never found.
         let half = image(1, &[(0.9, &[0.26])], &[true]);
-        let map = PoseMap::new(&[half, image(2, &[], &[true]), image(3, &[(0.5, &[0.0])], &[false])]);
+        let map =
+            PoseAveragePrecision::new(&[half, image(2, &[], &[true]), image(3, &[(0.5, &[0.0])], &[false])]);
         assert!((map.map - 0.25).abs() < 1e-12 && (map.map_mspd - 0.25).abs() < 1e-12, "{map:?}");
         assert_eq!(map.per_object.len(), 2);
-        assert_eq!(PoseMap::new(&[]), PoseMap::default());
+        assert_eq!(PoseAveragePrecision::new(&[]), PoseAveragePrecision::default());
     }
 }

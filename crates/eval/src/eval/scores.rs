@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use unopose_dataset::formats::{FormatError, files::write_json};
 
 use super::{
-    PoseAccuracy, PoseMap, TAUS, THRESHOLDS,
+    PoseAccuracy, PoseAveragePrecision, TAUS, THRESHOLDS,
     bins::{ROTATION_EDGES, VISIBILITY_EDGES, bin_of},
     outcome::TargetOutcome,
 };
@@ -51,7 +51,7 @@ pub struct Scores {
     pub recall: AverageRecall,
     /// Mean average precisions of all estimates (BOP challenge 2024).
     #[serde(flatten)]
-    pub detection: PoseMap,
+    pub detection: PoseAveragePrecision,
     /// ADD, ADD-S and angular errors of all targets.
     #[serde(flatten)]
     pub accuracy: PoseAccuracy,
@@ -144,7 +144,7 @@ pub struct EstimateCounts {
 impl Scores {
     pub(super) fn new(
         targets: &[TargetOutcome],
-        detection: PoseMap,
+        detection: PoseAveragePrecision,
         counts: EstimateCounts,
         times: MeanTimes,
     ) -> Self {

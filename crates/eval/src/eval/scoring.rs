@@ -14,7 +14,7 @@ use unopose_dataset::formats::{
 };
 
 use super::{
-    EvalError, EvalObject, PoseMap, Scores, TargetOutcome,
+    EvalError, EvalObject, PoseAveragePrecision, Scores, TargetOutcome,
     bins::RotationBins,
     options::ScoreOptions,
     scored_image::{Image, ScoredImage},
@@ -124,7 +124,7 @@ pub(super) fn score_results(
     let counts = EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers };
     let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
     let (targets, ranked) = (targets.concat(), ranked.concat());
-    let scores = Scores::new(&targets, PoseMap::new(&ranked), counts, mean_times(results));
+    let scores = Scores::new(&targets, PoseAveragePrecision::new(&ranked), counts, mean_times(results));
     Ok(Evaluation { scores, targets })
 }
 

@@ -183,15 +183,16 @@ fn clip(
     let direction = to - from;
     let (mut enter, mut leave) = (0.0f64, 1.0f64);
     for (axis, size) in [(0, width), (1, height)] {
-        for (slope, room) in [(-direction[axis], from[axis] + 1.0), (direction[axis], size - from[axis])] {
+        for (slope, distance) in [(-direction[axis], from[axis] + 1.0), (direction[axis], size - from[axis])]
+        {
             if slope == 0.0 {
-                if room < 0.0 {
+                if distance < 0.0 {
                     return None;
                 }
             } else if slope < 0.0 {
-                enter = enter.max(room / slope);
+                enter = enter.max(distance / slope);
             } else {
-                leave = leave.min(room / slope);
+                leave = leave.min(distance / slope);
             }
         }
     }

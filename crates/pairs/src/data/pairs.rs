@@ -18,9 +18,9 @@ use unopose_dataset::formats::{
 
 use super::{
     CloudInput, DataError, PreparedReference,
-    augmentation::{Augmented, augmented_views},
+    augmentation::{AugmentedPair, augmented_pair},
     frame_cache::{CachedFrame, CachedInstance, FrameCache},
-    label::{overlap_share, view_to_view},
+    label::{overlap_share, relative_pose},
     normalised_pose,
     pose_noise::{PoseNoise, draw_rotation_std},
     positional_groups, query_from_points, reference_from_points,
@@ -208,7 +208,7 @@ impl PairSampler {
                 reference_instance: reference.instance,
             };
             let frames = [&query_frame.frame, &reference_frame.frame];
-            match augmented_views(frames, views, pose, &self.data, &self.model, augment, rng) {
+            match augmented_pair(frames, views, pose, &self.data, &self.model, augment, rng) {
                 Ok(pair) if self.overlaps(&pair) => return Ok(self.prepare(pair, key, rng)),
                 Ok(_) => {}
                 Err(error) => problem = error,
@@ -226,18 +226,18 @@ impl PairSampler {
         let none = ObjectSymmetries::default();
         let ignored = self.model.quirks.same_image_reference;
         let symmetries = if ignored { &none } else { self.source.symmetries(obj_id) };
-        view_to_view(&query.t_camera_object, &reference.t_camera_object, symmetries)
+        relative_pose(&query.t_camera_object, &reference.t_camera_object, symmetries)
     }
 
-    fn overlaps(&self, pair: &Augmented) -> bool {
+    fn overlaps(&self, pair: &AugmentedPair) -> bool {
         let needed = self.data.min_overlap;
         let within = self.data.overlap_distance * pair.radius;
         needed <= 0.0
             || overlap_share(&pair.query.points, &pair.reference.points, &pair.pose, within) >= needed
     }
 
-    fn prepare(&self, pair: Augmented, key: PairKey, rng: &mut ChaCha8Rng) -> TrainSample {
-        let Augmented { query, reference, pose, .. } = pair;
+    fn prepare(&self, pair: AugmentedPair, key: PairKey, rng: &mut ChaCha8Rng) -> TrainSample {
+        let AugmentedPair { query, reference, pose, .. } = pair;
         let reference =
             reference_from_points(&reference.points, &reference.choose, reference.rgb, &self.model);
         let query = query_from_points(&query.points, &query.choose, query.rgb, reference.radius, &self.model);

@@ -41,10 +41,10 @@ pub enum RegistrationError {
         minimum: usize,
     },
     /// A plane or a sphere, which a whole family of poses maps onto itself.
-    #[error("the surface leaves {open} directions of motion open: a plane or a sphere has no pose")]
+    #[error("the surface leaves {unconstrained} directions of motion open: a plane or a sphere has no pose")]
     Degenerate {
         /// Directions of motion, of six, that map the surface onto itself.
-        open: usize,
+        unconstrained: usize,
     },
     /// No refinement has this name.
     #[error("unknown refinement {0:?}, expected none, icp or gicp")]
