@@ -8,9 +8,7 @@ use serde::Deserialize;
 use unopose_dataset::formats::{
     BopDataset, detections::read_detections, files::read_json, targets::read_targets,
 };
-use unopose_eval::eval::{
-    Evaluation, RegionKind, ScoreFiles, coco_detections, coco_ground_truth, coco_map, score_files,
-};
+use unopose_eval::eval::{Evaluation, RegionKind, ScoreFiles, coco_scores, score_files};
 
 /// Any recall is a multiple of 1/406; the tables' own rounding can move a single instance over a threshold.
 const AR_TOLERANCE: f64 = 1e-3;
@@ -149,8 +147,7 @@ fn noisy_masks_score_as_in_pycocotools() {
         (RegionKind::Mask, [0.691772492766083, 0.9168316831683169, 0.900685088566623, 0.710390873015873]),
         (RegionKind::Box, [0.6783310660988603, 0.8979820251757035, 0.824288439167149, 0.7310813492063493]),
     ] {
-        let truths = coco_ground_truth(&split, &targets, kind).unwrap();
-        let scores = coco_map(&truths, &coco_detections(&detections, kind).unwrap());
+        let scores = coco_scores(&split, &targets, &detections, "detections", kind).unwrap();
         assert_eq!((scores.n_instances, scores.n_ignored, scores.n_outside), (443, 1, 0));
         let met = [scores.map, scores.ap50, scores.ap75, scores.ar100];
         for (met, expected) in met.iter().zip(expected) {

@@ -17,7 +17,7 @@ use unopose_core::{
         radius_about_mean,
     },
 };
-use unopose_dataset::formats::symmetry::ObjectSymmetries;
+use unopose_dataset::formats::ObjectSymmetries;
 use unopose_infer::host_assignments;
 use unopose_nn::{
     loss::pairwise_distance,

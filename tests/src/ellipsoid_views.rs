@@ -8,7 +8,7 @@ use unopose_core::{
     geometry::{Intrinsics, Pose},
 };
 use unopose_dataset::formats::{
-    AnnotatedFrame, FormatError, Instance, megapose::InstanceRef, symmetry::ObjectSymmetries,
+    AnnotatedFrame, FormatError, Instance, ObjectSymmetries, megapose::InstanceRef,
 };
 use unopose_pairs::data::FrameSource;
 

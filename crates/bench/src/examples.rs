@@ -53,7 +53,9 @@ impl Examples {
         let mssd = |t: &TargetOutcome| t.errors.as_ref().map_or(f64::INFINITY, |e| e.mssd);
         let mut cases: Vec<&TargetOutcome> =
             evaluation.targets.iter().filter(|t| posed.contains_key(&key(t))).collect();
-        cases.sort_by(|a, b| a.credit().total_cmp(&b.credit()).then(mssd(b).total_cmp(&mssd(a))));
+        cases.sort_by(|a, b| {
+            a.average_recall().total_cmp(&b.average_recall()).then(mssd(b).total_cmp(&mssd(a)))
+        });
         let count = CASES.min(cases.len());
         let best: Vec<&TargetOutcome> = cases.iter().rev().take(count).copied().collect();
         let sheet = |kind: &str, cases: &[&TargetOutcome]| -> Result<Sheet, BenchError> {
@@ -63,7 +65,13 @@ impl Examples {
                 entries.map(|(target, pose)| tile(list, target, pose)).collect::<Result<Vec<_>, _>>()?;
             write_png(&folder.join(&file), &contact_sheet(&tiles, COLUMNS))?;
             let caption = cases.iter().map(|t| {
-                format!("scene {} image {} object {} ({:.2})", t.scene_id, t.im_id, t.obj_id, t.credit())
+                format!(
+                    "scene {} image {} object {} ({:.2})",
+                    t.scene_id,
+                    t.im_id,
+                    t.obj_id,
+                    t.average_recall()
+                )
             });
             Ok(Sheet { file, caption: caption.collect::<Vec<_>>().join(", ") })
         };

@@ -16,7 +16,7 @@ use unopose_dataset::{
     mesh::{self, TriangleMesh},
     protocol::{ListInput, Protocol, TargetList, build_lists},
 };
-use unopose_eval::eval::{RegionKind, coco_detections, coco_ground_truth, coco_map};
+use unopose_eval::eval::{RegionKind, coco_scores};
 
 use super::{BenchError, DetectionSource, UnoSegMasks, facts::ListFacts, rendered::render_references};
 
@@ -183,9 +183,8 @@ fn mask_map(
         inst_count: 1,
     };
     let targets: Vec<Target> = entries.iter().map(target).collect();
-    let truths = coco_ground_truth(split, &targets, RegionKind::Mask)?;
     let whole = detections.iter().filter(|d| d.segmentation.runs().is_ok()).cloned().collect::<Vec<_>>();
-    Ok(coco_map(&truths, &coco_detections(&whole, RegionKind::Mask)?).map)
+    Ok(coco_scores(split, &targets, &whole, "detections", RegionKind::Mask)?.map)
 }
 
 /// `test_ref_targets_NAME.json` without what surrounds the name.

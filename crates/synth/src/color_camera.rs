@@ -4,7 +4,7 @@
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
 use unopose_core::config::SensorConfig;
-use unopose_dataset::render::{Rendering, texture::linear_to_srgb};
+use unopose_dataset::render::{Rendering, linear_to_srgb};
 
 use super::random::Draw;
 

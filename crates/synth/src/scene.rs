@@ -8,7 +8,7 @@ use unopose_core::{
     config::{SynthCameraConfig, SynthConfig},
     geometry::{Intrinsics, Pose},
 };
-use unopose_dataset::render::{Camera, Light, Placed, Scene};
+use unopose_dataset::render::{Camera, Light, PosedMesh, Scene};
 
 use super::{background::Backgrounds, object::SynthObject, physics, place::Place, random::Draw};
 
@@ -55,7 +55,7 @@ pub(super) fn arrange(config: &SynthConfig, assets: &SceneAssets, rng: &mut ChaC
     let mut obj_ids = Vec::new();
     for (i, (object, pose)) in objects.iter().zip(poses).enumerate() {
         if let Some(t_world_object) = pose {
-            placed.push(Placed { mesh: object.mesh.clone(), finish: object.finish, t_world_object });
+            placed.push(PosedMesh { mesh: object.mesh.clone(), finish: object.finish, t_world_object });
             if i < count {
                 obj_ids.push(object.obj_id);
             }

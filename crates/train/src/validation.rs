@@ -149,7 +149,7 @@ impl Validation {
         let view = TestView { depth: &frame.depth, camera: &frame.intrinsics, delta: VSD_DELTA };
         let rendered = view.render(object, &truth.t_query_object);
         let errors = PoseErrors::new(object, &view, t, &truth.t_query_object, &rendered);
-        Ok(Some(errors.credit(object.diameter, frame.width())))
+        Ok(Some(errors.average_recall(object.diameter, frame.width())))
     }
 
     /// Where the pairs' images are.

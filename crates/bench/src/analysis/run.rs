@@ -99,7 +99,7 @@ pub fn analyse(
         let rendered = test.render(object, &t_query_object);
         let credit = |pose: &Pose| {
             let errors = PoseErrors::new(object, &test, &truth.implied(pose), &t_query_object, &rendered);
-            errors.credit(object.diameter, frame.width())
+            errors.average_recall(object.diameter, frame.width())
         };
         let (network_credit, refined) = (credit(&network), trace.estimate.t_query_reference);
         records.push(PairRecord {

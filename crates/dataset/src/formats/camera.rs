@@ -10,16 +10,16 @@ use super::{FormatError, files::read_json};
 /// A camera entry as BOP writes it. Unknown fields are ignored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraRecord {
-    /// Row-major.
+    /// Matrix of the intrinsics, row-major, pixels.
     #[serde(rename = "cam_K")]
     pub cam_k: [f64; 9],
     /// Millimetres per unit of the depth image; absent where there is no depth.
     #[serde(default = "one")]
     pub depth_scale: f64,
-    /// World to camera, row-major.
+    /// Rotation from world to camera, row-major.
     #[serde(default, rename = "cam_R_w2c", skip_serializing_if = "Option::is_none")]
     pub cam_r_w2c: Option<[f64; 9]>,
-    /// World to camera, millimetres.
+    /// Translation from world to camera, millimetres.
     #[serde(default, rename = "cam_t_w2c", skip_serializing_if = "Option::is_none")]
     pub cam_t_w2c: Option<[f64; 3]>,
 }
@@ -31,6 +31,7 @@ fn one() -> f64 {
 /// A checked camera: usable intrinsics and a positive depth scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
+    /// Focal lengths and principal point, pixels.
     pub intrinsics: Intrinsics,
     /// Millimetres per unit of the depth image.
     pub depth_scale: f64,
@@ -39,6 +40,7 @@ pub struct Camera {
 }
 
 impl CameraRecord {
+    /// Without a pose; `depth_scale` in millimetres per unit of the depth image.
     pub fn new(intrinsics: &Intrinsics, depth_scale: f64) -> Self {
         Self { cam_k: intrinsics.to_cam_k(), depth_scale, cam_r_w2c: None, cam_t_w2c: None }
     }

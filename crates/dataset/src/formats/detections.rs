@@ -16,16 +16,20 @@ use super::{
 /// One detected instance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
+    /// Scene of the image.
     pub scene_id: u32,
+    /// Number of the image in its scene.
     pub image_id: u32,
     /// Object id.
     pub category_id: u32,
     /// x, y, width, height in pixels.
     pub bbox: [f64; 4],
+    /// Confidence that the object is there; compared with others of the same list only.
     pub score: f64,
     /// Seconds for the whole image, negative when unknown.
     #[serde(default = "unknown")]
     pub time: f64,
+    /// Mask, as large as the image.
     pub segmentation: Rle,
 }
 
@@ -36,11 +40,15 @@ fn unknown() -> f64 {
 /// A detection that cannot be used.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SkippedDetection {
+    /// Scene of the image.
     pub scene_id: u32,
+    /// Number of the image in its scene.
     pub im_id: u32,
+    /// Object id.
     pub obj_id: u32,
-    /// Place in the list.
+    /// Index in the list.
     pub entry: usize,
+    /// What is wrong with its mask.
     pub reason: String,
 }
 
@@ -64,7 +72,7 @@ pub fn read_detections(path: &Path) -> Result<Vec<Detection>, FormatError> {
 
 /// Splits off the detections in `images` of a split whose masks are broken, empty or of another size than the image.
 /// Images that are not there are left alone.
-pub fn usable_detections(
+pub(crate) fn usable_detections(
     detections: Vec<Detection>,
     split: &BopSplit,
     images: &BTreeSet<(u32, u32)>,
@@ -134,15 +142,6 @@ pub fn write_detections(path: &Path, detections: &[Detection]) -> Result<(), For
     write_json(path, detections, false)
 }
 
-/// Detections that get a pose: those scored above `threshold`, or the best one when there is none.
-pub fn confident_or_best<'a>(detections: &[&'a Detection], threshold: f64) -> Vec<&'a Detection> {
-    let confident: Vec<_> = detections.iter().copied().filter(|d| d.score > threshold).collect();
-    if !confident.is_empty() {
-        return confident;
-    }
-    detections.iter().copied().max_by(|a, b| a.score.total_cmp(&b.score)).into_iter().collect()
-}
-
 #[cfg(test)]
 mod tests {
     use unopose_core::frame::Mask;
@@ -188,10 +187,5 @@ mod tests {
         assert!(list[0].problem([4, 3]).unwrap().contains("size is 3 x 2, expected the image's 3 x 4"));
         assert!(of_size([2, 3]).problem([2, 3]).unwrap().contains("empty"));
         assert!(of_size([2, 2]).problem([2, 2]).unwrap().contains("sum of counts is 6"));
-
-        let all: Vec<_> = read.iter().collect();
-        assert_eq!(confident_or_best(&all, 0.25), [&read[1]]);
-        assert_eq!(confident_or_best(&all, 0.1).len(), 2);
-        assert!(confident_or_best(&[], 0.1).is_empty());
     }
 }

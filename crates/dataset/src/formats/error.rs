@@ -7,27 +7,75 @@ use std::{
 
 use unopose_core::{files::FileError, geometry::IntrinsicsError};
 
-/// Error of the `formats` room. Every message names the file, and the field where there is one.
+/// Why a dataset file could not be read or written. Every message names the file, and the field where there is one.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum FormatError {
+    /// A file could not be written.
     #[error(transparent)]
     Write(#[from] FileError),
+    /// A file or folder could not be read.
     #[error("{path}: {source}")]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// Reason of the operating system.
+        source: std::io::Error,
+    },
+    /// An image could not be decoded or encoded.
     #[error("{path}: not a readable image: {source}")]
-    Image { path: PathBuf, source: image::ImageError },
+    Image {
+        /// File, or what stands for it in memory.
+        path: PathBuf,
+        /// Reason of the image library.
+        source: image::ImageError,
+    },
+    /// A JSON file is broken, or a field is missing or of the wrong type.
     #[error("{path}: {source}")]
-    Json { path: PathBuf, source: serde_json::Error },
+    Json {
+        /// File, or the member of a shard.
+        path: PathBuf,
+        /// Reason with line and column.
+        source: serde_json::Error,
+    },
+    /// A result table is broken.
     #[error("{path}: {source}")]
-    Csv { path: PathBuf, source: csv::Error },
+    Csv {
+        /// File of the table.
+        path: PathBuf,
+        /// Reason with the line.
+        source: csv::Error,
+    },
+    /// The intrinsics of a camera cannot be used.
     #[error("{place}: {source}")]
-    Intrinsics { place: String, source: IntrinsicsError },
-    /// A value that parses but cannot be right. `place` is the file, then the entry inside it.
+    Intrinsics {
+        /// File, then the entry inside it.
+        place: String,
+        /// Which value is wrong.
+        source: IntrinsicsError,
+    },
+    /// A value that parses but cannot be right.
     #[error("{place}: {field} is {value}, expected {expected}")]
-    Field { place: String, field: String, value: String, expected: String },
+    Field {
+        /// File, then the entry inside it.
+        place: String,
+        /// Name of the field in the file.
+        field: String,
+        /// The value met.
+        value: String,
+        /// What a right value is like.
+        expected: String,
+    },
     /// Something that has to be there is not.
     #[error("{place}: {missing} not found{hint}")]
-    Missing { place: String, missing: String, hint: String },
+    Missing {
+        /// File or folder where it was looked for.
+        place: String,
+        /// What was looked for.
+        missing: String,
+        /// What is there instead, in brackets; may be empty.
+        hint: String,
+    },
 }
 
 impl FormatError {
@@ -53,6 +101,7 @@ impl FormatError {
         Self::Missing { place: place.to_string(), missing: missing.to_string(), hint }
     }
 
+    /// A file or folder that could not be read.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io { path: path.to_path_buf(), source }
     }

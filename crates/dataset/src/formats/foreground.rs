@@ -26,6 +26,7 @@ impl Foreground {
         Ok(Self { size: rle.size, ranges })
     }
 
+    /// Of a decoded mask.
     pub fn of_mask(mask: &Mask) -> Self {
         let (height, mut ranges) = (u64::from(mask.height), Vec::<[u64; 2]>::new());
         for col in 0..mask.width {

@@ -46,12 +46,16 @@ pub fn read_mask(path: &Path) -> Result<Mask, FormatError> {
 }
 
 /// [`read_rgb`] of bytes in memory; `name` stands for the file in messages.
-pub fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, FormatError> {
+pub(super) fn decode_rgb(bytes: &[u8], name: &str) -> Result<RgbImage, FormatError> {
     Ok(decode(bytes, Path::new(name))?.into_rgb8())
 }
 
 /// [`read_depth`] of bytes in memory; `name` stands for the file in messages.
-pub fn decode_depth(bytes: &[u8], name: &str, depth_scale_to_mm: f64) -> Result<DepthMap, FormatError> {
+pub(super) fn decode_depth(
+    bytes: &[u8],
+    name: &str,
+    depth_scale_to_mm: f64,
+) -> Result<DepthMap, FormatError> {
     depth_from(decode(bytes, Path::new(name))?, Path::new(name), depth_scale_to_mm)
 }
 
@@ -77,14 +81,14 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), FormatError> {
 }
 
 /// The bytes of a jpeg file.
-pub fn encode_jpeg(image: &RgbImage, quality: u8) -> image::ImageResult<Vec<u8>> {
+pub(super) fn encode_jpeg(image: &RgbImage, quality: u8) -> image::ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
     image.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality))?;
     Ok(bytes)
 }
 
 /// The bytes of a 16-bit png. Depth beyond what 16 bits hold at this scale counts as not measured.
-pub fn encode_depth(depth: &DepthMap, depth_scale_to_mm: f64) -> image::ImageResult<Vec<u8>> {
+pub(super) fn encode_depth(depth: &DepthMap, depth_scale_to_mm: f64) -> image::ImageResult<Vec<u8>> {
     let per_metre = MM_PER_METRE / depth_scale_to_mm;
     let values = depth.data.iter().map(|&z| (f64::from(z) * per_metre).round());
     let values = values.map(|v| if v <= f64::from(u16::MAX) { v as u16 } else { 0 }).collect();

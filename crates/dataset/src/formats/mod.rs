@@ -14,7 +14,7 @@ pub mod models;
 pub mod results;
 pub mod rle;
 mod sequence;
-pub mod symmetry;
+mod symmetry;
 pub mod targets;
 
 pub use bop::{BopDataset, BopScene, BopSplit};
@@ -34,7 +34,9 @@ use unopose_core::{
 /// An annotated RGB-D image, the same whether it came from a BOP folder or a shard.
 #[derive(Clone, Debug)]
 pub struct AnnotatedFrame {
+    /// Colour, depth (metres) and intrinsics.
     pub frame: RgbdFrame,
+    /// In the order of the annotation file.
     pub instances: Vec<Instance>,
 }
 

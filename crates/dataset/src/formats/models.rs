@@ -21,7 +21,9 @@ pub struct ModelInfo {
     pub diameter: f64,
     /// Corner of the axis-aligned box with the smallest coordinates.
     pub min: Vector3<f64>,
+    /// Sides of that box.
     pub size: Vector3<f64>,
+    /// Motions that map the object onto itself.
     pub symmetries: ObjectSymmetries,
 }
 

@@ -12,9 +12,13 @@ const MM_PER_METRE: f64 = 1000.0;
 /// One estimated pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseResult {
+    /// Scene of the image.
     pub scene_id: u32,
+    /// Number of the image in its scene.
     pub im_id: u32,
+    /// Object whose pose it is.
     pub obj_id: u32,
+    /// Ranks the estimates of an image.
     pub score: f64,
     /// Object to camera, metres.
     pub t_camera_object: Pose,
@@ -22,36 +26,9 @@ pub struct PoseResult {
     pub time: f64,
 }
 
-/// What the name `METHOD_DATASET-SPLIT.csv` says.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ResultName {
-    pub method: String,
-    pub dataset: Option<String>,
-    pub split: Option<String>,
-}
-
-impl ResultName {
-    /// Never fails: a name of another form is the method's.
-    pub fn from_path(path: &Path) -> Self {
-        let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
-        match stem.split_once('_') {
-            Some((method, rest)) => {
-                let (dataset, split) = match rest.split_once('-') {
-                    Some((dataset, split)) => (dataset, Some(split.to_owned())),
-                    None => (rest, None),
-                };
-                Self { method: method.to_owned(), dataset: Some(dataset.to_owned()), split }
-            }
-            None => Self { method: stem.to_owned(), dataset: None, split: None },
-        }
-    }
-
-    /// The file name BOP expects. Underscores in the method become dashes, they would end it.
-    pub fn file_name(&self) -> String {
-        let method = self.method.replace('_', "-");
-        let dataset = self.dataset.as_deref().unwrap_or("dataset");
-        format!("{method}_{dataset}-{}.csv", self.split.as_deref().unwrap_or("test"))
-    }
+/// The name `METHOD_DATASET-SPLIT.csv` that BOP expects. Underscores in the method become dashes, they would end it.
+pub fn result_file_name(method: &str, dataset: &str, split: &str) -> String {
+    format!("{}_{dataset}-{split}.csv", method.replace('_', "-"))
 }
 
 /// Reads a result table with or without its header line; a missing `time` column counts as unknown.
@@ -247,13 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn names() {
-        let name = ResultName::from_path(Path::new("x/gt_dev-test.csv"));
-        assert_eq!(
-            (name.method.as_str(), name.dataset.as_deref(), name.split.as_deref()),
-            ("gt", Some("dev"), Some("test"))
-        );
-        assert_eq!(name.file_name(), "gt_dev-test.csv");
-        assert_eq!(ResultName::from_path(Path::new("whatever.csv")).dataset, None);
+    fn the_name_has_one_underscore() {
+        assert_eq!(result_file_name("fpfh_ransac-icp", "dev", "test"), "fpfh-ransac-icp_dev-test.csv");
     }
 }

@@ -18,6 +18,7 @@ const MAX_PIXELS: u64 = 1 << 28;
 pub struct Rle {
     /// `[height, width]`.
     pub size: [u32; 2],
+    /// Run lengths, which add up to `height * width`.
     pub counts: Counts,
 }
 

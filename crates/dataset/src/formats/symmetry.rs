@@ -10,6 +10,7 @@ use unopose_core::geometry::Pose;
 pub struct ObjectSymmetries {
     /// Without the identity.
     pub discrete: Vec<Pose>,
+    /// Axes of revolution.
     pub continuous: Vec<SymmetryAxis>,
 }
 
@@ -34,6 +35,7 @@ impl ObjectSymmetries {
     /// BOP's step of continuous symmetries: the arc between neighbours is at most this share of the diameter.
     pub const BOP_STEP: f64 = 0.01;
 
+    /// Is the identity the only one?
     pub fn is_empty(&self) -> bool {
         self.discrete.is_empty() && self.continuous.is_empty()
     }

@@ -12,10 +12,13 @@ use super::{
 /// An entry of `test_targets_bop19.json`: `inst_count` instances of an object in an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Target {
+    /// Scene of the image.
     pub scene_id: u32,
+    /// Number of the image in its scene.
     pub im_id: u32,
+    /// Object to be found.
     pub obj_id: u32,
-    /// 1 where the file does not say, as in lists of references.
+    /// Number of its instances in the image; 1 where the file does not say, as in lists of references.
     #[serde(default = "one")]
     pub inst_count: u32,
 }
@@ -27,10 +30,15 @@ fn one() -> u32 {
 /// An entry of `test_ref_targets_*.json`: a target and the image that shows its reference.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReferenceTarget {
+    /// Scene of the target's image.
     pub scene_id: u32,
+    /// Number of the target's image in its scene.
     pub im_id: u32,
+    /// Object to be found, which both images show.
     pub obj_id: u32,
+    /// Scene of the reference's image.
     pub ref_scene_id: u32,
+    /// Number of the reference's image in its scene.
     pub ref_im_id: u32,
     /// Angle between target and reference view, degrees, where the list has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -69,7 +77,7 @@ pub fn read_reference_targets(path: &Path) -> Result<Vec<ReferenceTarget>, Forma
 
 /// Checks a list of references against the annotations: every scene, image and object is there, and no entry is repeated.
 /// `place` is the list in messages. An image of an unannotated split may show anything.
-pub fn check_reference_targets(
+pub(crate) fn check_reference_targets(
     targets: &[ReferenceTarget],
     place: &str,
     split: &BopSplit,
@@ -90,7 +98,7 @@ pub fn check_reference_targets(
     Ok(())
 }
 
-/// [`check_reference_targets`] of a list without references.
+/// Checks a target list against the annotations: every scene, image and object is there. `place` is the list in messages.
 pub fn check_targets(targets: &[Target], place: &str, split: &BopSplit) -> Result<(), FormatError> {
     targets.iter().try_for_each(|t| {
         let place = format!("{place}: scene {} image {} object {}", t.scene_id, t.im_id, t.obj_id);

@@ -4,13 +4,32 @@ use std::path::{Path, PathBuf};
 
 /// Why a mesh file could not be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MeshError {
+    /// No reader for files of this name.
     #[error("{}: extension {extension:?}, expected ply, obj, stl, glb or gltf", path.display())]
-    Extension { path: PathBuf, extension: String },
+    Extension {
+        /// File of the mesh.
+        path: PathBuf,
+        /// The extension met, in lower case.
+        extension: String,
+    },
+    /// The file is absent or broken.
     #[error("{}: {reason}", path.display())]
-    Read { path: PathBuf, reason: String },
+    Read {
+        /// File of the mesh.
+        path: PathBuf,
+        /// Reason of the reader.
+        reason: String,
+    },
+    /// The file was read, but its mesh is not usable.
     #[error("{}: {source}", path.display())]
-    Invalid { path: PathBuf, source: InvalidMesh },
+    Invalid {
+        /// File of the mesh.
+        path: PathBuf,
+        /// What is wrong with the mesh.
+        source: InvalidMesh,
+    },
 }
 
 impl MeshError {
@@ -21,15 +40,45 @@ impl MeshError {
 
 /// What is wrong with a mesh in memory.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[non_exhaustive]
 pub enum InvalidMesh {
+    /// Too few vertices or faces for a surface.
     #[error("mesh has {vertices} vertices and {faces} faces, expected at least 3 and 1")]
-    Empty { vertices: usize, faces: usize },
+    Empty {
+        /// Number of vertices.
+        vertices: usize,
+        /// Number of faces.
+        faces: usize,
+    },
+    /// A coordinate is NaN or infinite.
     #[error("vertex {index} is {value:?}, expected finite coordinates")]
-    NotFinite { index: usize, value: [f32; 3] },
+    NotFinite {
+        /// Index of the vertex.
+        index: usize,
+        /// Its coordinates.
+        value: [f32; 3],
+    },
+    /// A face has a corner that is no vertex.
     #[error("face {face} refers to vertex {vertex}, but there are only {vertices}")]
-    FaceIndex { face: usize, vertex: u32, vertices: usize },
+    FaceIndex {
+        /// Index of the face.
+        face: usize,
+        /// Vertex index that it refers to.
+        vertex: u32,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A list per vertex is neither empty nor as long as the vertices.
     #[error("{list} has {len} entries, expected 0 or {vertices}")]
-    ListLength { list: &'static str, len: usize, vertices: usize },
+    ListLength {
+        /// `normals`, `uvs` or `colors`.
+        list: &'static str,
+        /// Its length.
+        len: usize,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// No face has an area.
     #[error("all faces have zero area")]
-    Flat,
+    ZeroArea,
 }

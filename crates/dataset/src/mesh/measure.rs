@@ -10,15 +10,19 @@ use super::{TriangleMesh, error::InvalidMesh};
 /// Axis-aligned box, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
+    /// Smallest coordinates.
     pub min: [f32; 3],
+    /// Largest coordinates.
     pub max: [f32; 3],
 }
 
 impl Bounds {
+    /// Middle of the box, metres.
     pub fn center(&self) -> [f32; 3] {
         std::array::from_fn(|i| 0.5 * (self.min[i] + self.max[i]))
     }
 
+    /// Sides of the box, metres.
     pub fn size(&self) -> [f32; 3] {
         std::array::from_fn(|i| self.max[i] - self.min[i])
     }
@@ -56,7 +60,7 @@ impl TriangleMesh {
     }
 
     /// Vertices of the convex hull; `None` when the cloud is too flat for a hull.
-    pub fn hull_vertices(&self) -> Option<Vec<Point3<f32>>> {
+    fn hull_vertices(&self) -> Option<Vec<Point3<f32>>> {
         let points: Vec<_> = self.vertices.iter().map(|v| Point3::from(*v)).collect();
         try_convex_hull(&points).ok().map(|(vertices, _)| vertices)
     }
@@ -84,9 +88,10 @@ impl TriangleMesh {
                 return Err(InvalidMesh::FaceIndex { face, vertex, vertices });
             }
         }
-        if self.area() <= 0.0 { Err(InvalidMesh::Flat) } else { Ok(()) }
+        if self.area() <= 0.0 { Err(InvalidMesh::ZeroArea) } else { Ok(()) }
     }
 
+    /// Multiplies the coordinates of the vertices.
     pub fn scale(&mut self, factor: f32) {
         self.vertices.iter_mut().flatten().for_each(|x| *x *= factor);
     }
@@ -116,7 +121,8 @@ impl TriangleMesh {
         (b - a).cross(&(c - a))
     }
 
-    pub fn remove_degenerate_faces(&mut self) {
+    /// Faces without area are left out.
+    pub(super) fn remove_degenerate_faces(&mut self) {
         let keep: Vec<bool> = self.faces.iter().map(|f| self.face_cross(f).norm_squared() > 0.0).collect();
         let mut kept = keep.iter();
         self.faces.retain(|_| kept.next().copied().unwrap_or(false));

@@ -12,7 +12,7 @@ pub mod ply;
 mod stl;
 mod triangle_mesh;
 
-pub use error::MeshError;
+pub use error::{InvalidMesh, MeshError};
 pub use measure::Bounds;
 pub use normals::split_by_crease;
 pub use triangle_mesh::TriangleMesh;

@@ -8,7 +8,7 @@ use super::TriangleMesh;
 
 impl TriangleMesh {
     /// Area-weighted vertex normals; a vertex without area gets (0, 0, 1).
-    pub fn compute_normals(&mut self) {
+    pub(super) fn compute_normals(&mut self) {
         let mut sums = vec![Vector3::zeros(); self.vertices.len()];
         for face in &self.faces {
             let cross = self.face_cross(face);

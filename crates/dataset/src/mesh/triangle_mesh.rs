@@ -7,6 +7,7 @@ use std::sync::Arc;
 pub struct TriangleMesh {
     /// Metres, object frame.
     pub vertices: Vec<[f32; 3]>,
+    /// Vertex indices of the triangles, anticlockwise seen from outside where the surface is oriented.
     pub faces: Vec<[u32; 3]>,
     /// Unit normals per vertex.
     pub normals: Vec<[f32; 3]>,
@@ -14,5 +15,6 @@ pub struct TriangleMesh {
     pub uvs: Vec<[f32; 2]>,
     /// sRGB per vertex.
     pub colors: Vec<[u8; 3]>,
+    /// Picture of the texture coordinates, sRGB.
     pub texture: Option<Arc<image::RgbImage>>,
 }

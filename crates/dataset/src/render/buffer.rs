@@ -5,7 +5,7 @@ use unopose_core::geometry::Intrinsics;
 use super::{
     camera::Camera,
     raster::{self, Window},
-    scene::Placed,
+    scene::PosedMesh,
 };
 
 /// Face seen at a sample.
@@ -27,7 +27,7 @@ pub(super) struct VisibilityBuffer {
 
 impl VisibilityBuffer {
     /// `density` samples per pixel in each direction, evenly spaced within the pixel.
-    pub fn new(objects: &[Placed], camera: &Camera, density: u32) -> Self {
+    pub fn new(objects: &[PosedMesh], camera: &Camera, density: u32) -> Self {
         let d = f64::from(density);
         let intrinsics = Intrinsics {
             fx: camera.intrinsics.fx * d,

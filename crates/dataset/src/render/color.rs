@@ -13,10 +13,10 @@ use super::{
 };
 
 /// Samples of one surface whose normals differ by less than this cosine share their light.
-const ALIKE: f32 = 0.985;
+const SAME_SURFACE_COSINE: f32 = 0.985;
 
 /// A surface in a pixel and its light.
-struct Lit {
+struct ShadedSurface {
     key: SurfaceKey,
     normal: Vector3<f32>,
     reflection: Reflection,
@@ -34,10 +34,10 @@ pub(super) fn radiance(
     let buffer = VisibilityBuffer::new(&lit_scene.scene.objects, camera, density);
     let rays = Rays::new(camera, &buffer.intrinsics);
     let room = RoomView::new(&lit_scene.scene.room, camera);
-    let mut lit: Vec<Lit> = Vec::new();
+    let mut lit: Vec<ShadedSurface> = Vec::new();
     let mut radiance = Vec::with_capacity(surfels.len());
     for row in 0..camera.height {
-        let line = room.line(row);
+        let line = room.scanline(row);
         for col in 0..camera.width {
             let pixel = radiance.len();
             let arriving = gathered.map(|g| g[pixel]);
@@ -48,19 +48,20 @@ pub(super) fn radiance(
                 let sample = &buffer.samples[(y * buffer.width + x) as usize];
                 let direction = rays.direction(x, y);
                 let (key, surfel) = lit_scene.seen(&rays.origin, &direction, sample, &line, col).1;
-                let near = |l: &&Lit| l.key == key && l.normal.dot(&surfel.normal) > ALIKE;
+                let near =
+                    |l: &&ShadedSurface| l.key == key && l.normal.dot(&surfel.normal) > SAME_SURFACE_COSINE;
                 let reflection = match lit.iter().find(near) {
                     Some(known) => known.reflection,
                     None => {
                         // The light of a pixel's centre where it belongs to the same surface.
                         let center = Some(&surfels[pixel]).filter(|(center_key, center)| {
-                            *center_key == key && center.normal.dot(&surfel.normal) > ALIKE
+                            *center_key == key && center.normal.dot(&surfel.normal) > SAME_SURFACE_COSINE
                         });
                         let of = center.map_or(&surfel, |c| &c.1);
                         let to_camera = (rays.origin - of.point).normalize();
                         let turn = filter_turn(col, row, lit.len() as u32);
                         let reflection = lit_scene.reflection(of, &to_camera, turn, arriving);
-                        lit.push(Lit { key, normal: of.normal, reflection });
+                        lit.push(ShadedSurface { key, normal: of.normal, reflection });
                         reflection
                     }
                 };

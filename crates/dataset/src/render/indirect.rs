@@ -12,12 +12,12 @@ use parry3d::{
 use super::{
     buffer::Sample,
     lighting::LitScene,
-    scene::{Placed, Scene},
+    scene::{PosedMesh, Scene},
     surfel::{SurfaceKey, Surfel},
 };
 
 /// An object ready for rays.
-struct Target {
+struct RayTarget {
     shape: TriMesh,
     rotation: Matrix3<f32>,
     translation: Vector3<f32>,
@@ -25,9 +25,9 @@ struct Target {
     radius: f32,
 }
 
-impl Target {
+impl RayTarget {
     /// `None` for a mesh that no hierarchy can be built over.
-    fn new(placed: &Placed) -> Option<Self> {
+    fn new(placed: &PosedMesh) -> Option<Self> {
         let (mesh, t) = (&placed.mesh, &placed.t_world_object);
         let bounds = mesh.bounds();
         let vertices = mesh.vertices.iter().map(|v| Point3::from(*v)).collect();
@@ -68,19 +68,19 @@ impl Target {
 }
 
 /// The objects of a scene under rays.
-pub(super) struct Bounces {
-    targets: Vec<Option<Target>>,
+pub(super) struct IndirectLight {
+    targets: Vec<Option<RayTarget>>,
     rays: u32,
 }
 
 /// Rays start this far above their surface, metres.
-const LIFT: f32 = 5e-4;
+const RAY_OFFSET: f32 = 5e-4;
 /// Half side of the window over which neighbouring pixels share their rays.
-const SHARED: i32 = 2;
+const FILTER_RADIUS: i32 = 2;
 
-impl Bounces {
+impl IndirectLight {
     pub fn new(scene: &Scene, rays: u32) -> Self {
-        Self { targets: scene.objects.iter().map(Target::new).collect(), rays }
+        Self { targets: scene.objects.iter().map(RayTarget::new).collect(), rays }
     }
 
     /// Mean radiance that reaches every pixel's surface from its hemisphere, cosine-weighted. `ids` and `surfels` are
@@ -99,8 +99,8 @@ impl Bounces {
         let smooth = |i: usize| {
             let (col, row) = ((i % width) as i32, (i / width) as i32);
             let (mut sum, mut weight) = (Vector3::zeros(), 0.0);
-            for r in row - SHARED..=row + SHARED {
-                for c in col - SHARED..=col + SHARED {
+            for r in row - FILTER_RADIUS..=row + FILTER_RADIUS {
+                for c in col - FILTER_RADIUS..=col + FILTER_RADIUS {
                     if r < 0 || c < 0 || c >= width as i32 || r >= height as i32 {
                         continue;
                     }
@@ -124,7 +124,7 @@ impl Bounces {
         let helper = if normal.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
         let tangent = normal.cross(&helper).normalize();
         let side = normal.cross(&tangent);
-        let origin = surfel.point + normal * LIFT;
+        let origin = surfel.point + normal * RAY_OFFSET;
         // A rank-one lattice (R2, Roberts 2018), shifted from pixel to pixel.
         let turn = |k: usize, a: f32| (k as f32 * a).fract();
         let (shift_u, shift_v) = (turn(pixel % 8192, 0.754_877_7), turn(pixel % 8192, 0.569_840_3));
@@ -154,13 +154,13 @@ impl Bounces {
         }
         match nearest.1 {
             Some(sample) => {
-                lit_scene.bounced(&lit_scene.surfel(origin, direction, &sample, &None), direction)
+                lit_scene.outgoing_radiance(&lit_scene.surfel(origin, direction, &sample, &None), direction)
             }
             // Walls far away are part of the surroundings' light.
-            None if room.is_wall() => lit_scene.surroundings(direction),
+            None if room.is_wall() => lit_scene.environment_radiance(direction),
             None => {
                 let surfel = lit_scene.surfel(origin, direction, &Sample::default(), &Some(room));
-                lit_scene.bounced(&surfel, direction)
+                lit_scene.outgoing_radiance(&surfel, direction)
             }
         }
     }

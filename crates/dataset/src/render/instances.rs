@@ -5,7 +5,7 @@ use unopose_core::frame::Mask;
 use super::{
     camera::Camera,
     raster::{self, Window},
-    scene::Placed,
+    scene::PosedMesh,
 };
 
 /// What BOP's `gt_info` and masks say about one instance.
@@ -13,24 +13,27 @@ use super::{
 pub struct InstanceView {
     /// Silhouette inside the image, hidden parts included.
     pub mask: Mask,
+    /// The visible part of the silhouette.
     pub mask_visib: Mask,
     /// Silhouette pixels, also outside the image.
     pub px_count_all: u32,
+    /// Visible pixels.
     pub px_count_visib: u32,
     /// Column, row, width, height of the whole silhouette (may leave the image), as in the BOP toolkit: width =
     /// last - first column; all -1 when nothing is seen.
     pub bbox_obj: [i32; 4],
+    /// The same of the visible part.
     pub bbox_visib: [i32; 4],
     /// `px_count_visib / px_count_all`, 0 for an empty silhouette.
     pub visib_fract: f64,
 }
 
 /// One entry per object; `ids` is the view's id buffer.
-pub fn instance_views(objects: &[Placed], camera: &Camera, ids: &[u16]) -> Vec<InstanceView> {
+pub fn instance_views(objects: &[PosedMesh], camera: &Camera, ids: &[u16]) -> Vec<InstanceView> {
     objects.iter().enumerate().map(|(i, placed)| instance_view(placed, camera, ids, i as u16 + 1)).collect()
 }
 
-fn instance_view(placed: &Placed, camera: &Camera, ids: &[u16], id: u16) -> InstanceView {
+fn instance_view(placed: &PosedMesh, camera: &Camera, ids: &[u16], id: u16) -> InstanceView {
     let (width, height) = (camera.width as i32, camera.height as i32);
     let t_camera_object = camera.t_camera_world * placed.t_world_object;
     let projected = raster::project(&placed.mesh.vertices, &t_camera_object, &camera.intrinsics);
@@ -54,7 +57,7 @@ fn instance_view(placed: &Placed, camera: &Camera, ids: &[u16], id: u16) -> Inst
         }
     }
     let mut mask = Mask::empty(camera.width, camera.height);
-    let mut all = Box2::default();
+    let mut all = PixelBounds::default();
     for (i, _) in canvas.iter().enumerate().filter(|(_, set)| **set) {
         let (col, row) = (window.min[0] + (i % cols) as i32, window.min[1] + (i / cols) as i32);
         all.add(col, row);
@@ -63,7 +66,7 @@ fn instance_view(placed: &Placed, camera: &Camera, ids: &[u16], id: u16) -> Inst
         }
     }
     let mut mask_visib = Mask::empty(camera.width, camera.height);
-    let mut visib = Box2::default();
+    let mut visib = PixelBounds::default();
     for (i, _) in ids.iter().enumerate().filter(|(_, seen)| **seen == id) {
         visib.add(i as i32 % width, i as i32 / width);
         mask_visib.data[i] = true;
@@ -81,13 +84,13 @@ fn instance_view(placed: &Placed, camera: &Camera, ids: &[u16], id: u16) -> Inst
 }
 
 #[derive(Default)]
-struct Box2 {
+struct PixelBounds {
     count: u32,
     min: [i32; 2],
     max: [i32; 2],
 }
 
-impl Box2 {
+impl PixelBounds {
     fn add(&mut self, col: i32, row: i32) {
         if self.count == 0 {
             (self.min, self.max) = ([col, row], [col, row]);

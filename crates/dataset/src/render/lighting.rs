@@ -4,12 +4,12 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     buffer::Sample,
-    room::{RoomLine, RoomPlace},
-    scene::{Block, Light, Placed, Scene},
-    shading::{Reflection, Shaded},
+    room::{RoomHit, RoomScanline},
+    scene::{Block, Light, PosedMesh, Scene},
+    shading::{Reflection, ShadingPoint},
     shadow::ShadowMap,
     surfel::{SurfaceKey, Surfel},
-    texture::{self, Wrap},
+    texture,
 };
 
 /// A scene with its shadow maps.
@@ -46,16 +46,16 @@ impl<'a> LitScene<'a> {
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
         sample: &Sample,
-        line: &RoomLine,
+        line: &RoomScanline,
         col: u32,
     ) -> (f32, (SurfaceKey, Surfel)) {
         let z = if sample.inv_z > 0.0 { 1.0 / sample.inv_z } else { f32::INFINITY };
         let room = line.meet(col, direction, z);
         let surfel = self.surfel(origin, direction, sample, &room);
         match room {
-            Some(place) => {
-                let (block, axis) = place.side();
-                (place.t, (SurfaceKey::Room(block, axis), surfel))
+            Some(hit) => {
+                let (block, axis) = hit.side();
+                (hit.t, (SurfaceKey::Room(block, axis), surfel))
             }
             None => (z, (SurfaceKey::Object(sample.object), surfel)),
         }
@@ -66,12 +66,12 @@ impl<'a> LitScene<'a> {
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
         sample: &Sample,
-        room: &Option<RoomPlace>,
+        room: &Option<RoomHit>,
     ) -> Surfel {
-        if let Some(place) = room {
-            let hit = self.scene.room.surface_at(origin, direction, place);
-            let point = origin + direction * place.t;
-            return Surfel { point, normal: hit.normal, albedo: hit.albedo, finish: hit.finish };
+        if let Some(hit) = room {
+            let surface = self.scene.room.surface_at(origin, direction, hit);
+            let point = origin + direction * hit.t;
+            return Surfel { point, normal: surface.normal, albedo: surface.albedo, finish: surface.finish };
         }
         let object = sample.object as usize;
         let placed = &self.scene.objects[object];
@@ -88,7 +88,7 @@ impl<'a> LitScene<'a> {
             Some(picture) if !mesh.uvs.is_empty() => {
                 let [p, q, r] = [i, j, k].map(|v| mesh.uvs[v]);
                 let uv = std::array::from_fn(|axis| a * p[axis] + b * q[axis] + c * r[axis]);
-                texture::sample(picture, uv, Wrap::Repeat)
+                texture::sample(picture, uv)
             }
             _ if !mesh.colors.is_empty() => texture::color_to_linear(mesh.colors[i]),
             _ => [0.5; 3],
@@ -97,15 +97,15 @@ impl<'a> LitScene<'a> {
     }
 
     /// Light that a surface met by a gathering ray sends back: what the lights give it, and some of the ambient light.
-    pub fn bounced(&self, surfel: &Surfel, direction: &Vector3<f32>) -> Vector3<f32> {
-        let ambient = 0.5 * self.surroundings(&surfel.normal);
+    pub fn outgoing_radiance(&self, surfel: &Surfel, direction: &Vector3<f32>) -> Vector3<f32> {
+        let ambient = 0.5 * self.environment_radiance(&surfel.normal);
         let color = self.reflection(surfel, &-direction, [1.0, 0.0], Some(ambient.into())).of(&surfel.albedo);
         // Fireflies would need more rays to average out.
         color.map(|c| c.min(2.0)).into()
     }
 
     /// Radiance of the far surroundings in a direction.
-    pub fn surroundings(&self, direction: &Vector3<f32>) -> Vector3<f32> {
+    pub fn environment_radiance(&self, direction: &Vector3<f32>) -> Vector3<f32> {
         let up = 0.5 + 0.5 * direction.z;
         Vector3::from(self.scene.sky) * up + Vector3::from(self.scene.ground) * (1.0 - up)
     }
@@ -118,7 +118,7 @@ impl<'a> LitScene<'a> {
         turn: [f32; 2],
         arriving: Option<[f32; 3]>,
     ) -> Reflection {
-        let shaded = Shaded { normal: &surfel.normal, view, finish: surfel.finish };
+        let shaded = ShadingPoint { normal: &surfel.normal, view, finish: surfel.finish };
         let mut reflection = match arriving.map(Vector3::from) {
             Some(light) => shaded.ambient(&light, &light, 1.0),
             None => {
@@ -141,7 +141,7 @@ impl<'a> LitScene<'a> {
     }
 }
 
-fn bounding_sphere(objects: &[Placed]) -> (Vector3<f32>, f32) {
+fn bounding_sphere(objects: &[PosedMesh]) -> (Vector3<f32>, f32) {
     let spheres: Vec<(Vector3<f32>, f32)> = objects
         .iter()
         .map(|o| {

@@ -20,11 +20,12 @@ mod scene;
 mod shading;
 mod shadow;
 mod surfel;
-pub mod texture;
+mod texture;
 mod view;
 
 pub use camera::Camera;
 pub use instances::{InstanceView, instance_views};
 pub use posed::{PosedView, posed_view};
-pub use scene::{Block, Finish, Light, Placed, Room, Scene, Surface};
+pub use scene::{Block, Finish, Light, PosedMesh, Room, Scene, Surface};
+pub use texture::linear_to_srgb;
 pub use view::{Rendering, SceneRenderer};

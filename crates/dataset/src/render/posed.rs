@@ -9,8 +9,8 @@ use unopose_core::{
 };
 
 use super::{
-    Camera, Finish, InstanceView, Light, Placed, Room, Scene, SceneRenderer, Surface, instance_views,
-    texture::linear_to_srgb,
+    Camera, Finish, InstanceView, Light, PosedMesh, Room, Scene, SceneRenderer, Surface, instance_views,
+    linear_to_srgb,
 };
 use crate::mesh::TriangleMesh;
 
@@ -40,7 +40,7 @@ pub fn posed_view(
     let t_camera_world =
         Pose::new(Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0), Vector3::zeros());
     let t_world_camera = t_camera_world.inverse();
-    let placed = objects.iter().map(|(mesh, t_camera_object)| Placed {
+    let placed = objects.iter().map(|(mesh, t_camera_object)| PosedMesh {
         mesh: mesh.clone(),
         finish: MATT,
         t_world_object: t_world_camera * *t_camera_object,

@@ -5,11 +5,11 @@ use nalgebra::Vector3;
 use super::{
     camera::Camera,
     scene::{Block, Finish, Room, Surface},
-    texture::{self, Wrap},
+    texture,
 };
 
-/// Where a ray meets the surroundings.
-pub(super) struct RoomHit {
+/// The surroundings at the end of a ray.
+pub(super) struct RoomSurface {
     pub normal: Vector3<f32>,
     /// Linear light.
     pub albedo: [f32; 3],
@@ -18,7 +18,7 @@ pub(super) struct RoomHit {
 
 /// What a ray meets first, before its colour is looked up.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RoomPlace {
+pub(super) struct RoomHit {
     /// Ray parameter.
     pub t: f32,
     /// Index into the blocks; `None`: the room itself.
@@ -26,7 +26,7 @@ pub(super) struct RoomPlace {
     axis: usize,
 }
 
-impl RoomPlace {
+impl RoomHit {
     /// Wall, floor or ceiling.
     pub(super) fn is_wall(&self) -> bool {
         self.block.is_none()
@@ -47,7 +47,7 @@ pub(super) struct RoomView<'a> {
 }
 
 /// The blocks that can appear in a row of pixels.
-pub(super) struct RoomLine<'a> {
+pub(super) struct RoomScanline<'a> {
     view: &'a RoomView<'a>,
     blocks: Vec<usize>,
 }
@@ -58,22 +58,22 @@ impl<'a> RoomView<'a> {
         Self { room, origin, seen: room.blocks.iter().map(|b| window(b, camera)).collect() }
     }
 
-    pub fn line(&'a self, row: u32) -> RoomLine<'a> {
+    pub fn scanline(&'a self, row: u32) -> RoomScanline<'a> {
         let row = row as f32;
         let meets = |(_, rows): &&([f32; 2], [f32; 2])| (rows[0] - 1.0..=rows[1] + 1.0).contains(&row);
         let blocks = self.seen.iter().enumerate().filter(|(_, seen)| meets(seen)).map(|(i, _)| i).collect();
-        RoomLine { view: self, blocks }
+        RoomScanline { view: self, blocks }
     }
 }
 
-impl RoomLine<'_> {
+impl RoomScanline<'_> {
     /// What a ray through pixel column `col` meets before `limit`.
-    pub fn meet(&self, col: u32, direction: &Vector3<f32>, limit: f32) -> Option<RoomPlace> {
+    pub fn meet(&self, col: u32, direction: &Vector3<f32>, limit: f32) -> Option<RoomHit> {
         let (view, col) = (self.view, col as f32);
-        let mut first = RoomPlace { t: limit, block: None, axis: 0 };
+        let mut first = RoomHit { t: limit, block: None, axis: 0 };
         if limit == f32::INFINITY {
             let (t, axis) = view.room.wall_exit(&view.origin, direction);
-            first = RoomPlace { t, block: None, axis };
+            first = RoomHit { t, block: None, axis };
         }
         for &i in &self.blocks {
             let [low, high] = view.seen[i].0;
@@ -81,7 +81,7 @@ impl RoomLine<'_> {
                 continue;
             }
             if let Some((t, axis)) = view.room.blocks[i].entry(&view.origin, direction, first.t) {
-                first = RoomPlace { t, block: Some(i), axis };
+                first = RoomHit { t, block: Some(i), axis };
             }
         }
         (limit == f32::INFINITY || first.block.is_some()).then_some(first)
@@ -107,12 +107,12 @@ fn window(block: &Block, camera: &Camera) -> ([f32; 2], [f32; 2]) {
 
 impl Room {
     /// First surface met by `origin + t * direction` for t > 0.
-    pub(super) fn meet(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> RoomPlace {
+    pub(super) fn meet(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> RoomHit {
         let (t, axis) = self.wall_exit(origin, direction);
-        let mut first = RoomPlace { t, block: None, axis };
+        let mut first = RoomHit { t, block: None, axis };
         for (i, block) in self.blocks.iter().enumerate() {
             if let Some((t, axis)) = block.entry(origin, direction, first.t) {
-                first = RoomPlace { t, block: Some(i), axis };
+                first = RoomHit { t, block: Some(i), axis };
             }
         }
         first
@@ -123,19 +123,19 @@ impl Room {
         &self,
         origin: &Vector3<f32>,
         direction: &Vector3<f32>,
-        place: &RoomPlace,
-    ) -> RoomHit {
-        let (p, axis) = (origin + direction * place.t, place.axis);
-        let Some(block) = place.block.map(|i| &self.blocks[i]) else {
+        hit: &RoomHit,
+    ) -> RoomSurface {
+        let (p, axis) = (origin + direction * hit.t, hit.axis);
+        let Some(block) = hit.block.map(|i| &self.blocks[i]) else {
             let mut normal = Vector3::zeros();
             normal[axis] = -direction[axis].signum();
             let surface = if axis == 2 && direction.z < 0.0 { &self.floor } else { &self.wall };
-            return surface.hit(normal, flat(axis, &p));
+            return surface.at(normal, flat(axis, &p));
         };
         let (q, d) = (block.to_local(&(p - block.center)), block.to_local(direction));
         let mut normal = Vector3::zeros();
         normal[axis] = -d[axis].signum();
-        block.surface.hit(block.to_world(&normal), flat(axis, &q))
+        block.surface.at(block.to_world(&normal), flat(axis, &q))
     }
 
     fn wall_exit(&self, origin: &Vector3<f32>, direction: &Vector3<f32>) -> (f32, usize) {
@@ -196,10 +196,11 @@ fn flat(axis: usize, p: &Vector3<f32>) -> [f32; 2] {
 }
 
 impl Surface {
-    fn hit(&self, normal: Vector3<f32>, at: [f32; 2]) -> RoomHit {
+    /// Colour at two coordinates in the plane of the surface, metres.
+    fn at(&self, normal: Vector3<f32>, at: [f32; 2]) -> RoomSurface {
         let (s, c) = self.angle.sin_cos();
         let uv = [(c * at[0] + s * at[1]) / self.tile, (-s * at[0] + c * at[1]) / self.tile];
-        RoomHit { normal, albedo: texture::sample(&self.picture, uv, Wrap::Repeat), finish: self.finish }
+        RoomSurface { normal, albedo: texture::sample(&self.picture, uv), finish: self.finish }
     }
 }
 
@@ -237,8 +238,8 @@ mod tests {
         };
         let meet = |o: [f32; 3], d: [f32; 3]| {
             let (o, d) = (o.into(), d.into());
-            let place = room.meet(&o, &d);
-            (place.t, room.surface_at(&o, &d, &place).normal)
+            let hit = room.meet(&o, &d);
+            (hit.t, room.surface_at(&o, &d, &hit).normal)
         };
         let down = meet([0.1, 0.1, 1.0], [0.0, 0.0, -1.0]);
         assert!((down.0 - 1.0).abs() < 1e-6 && (down.1 - Vector3::z()).norm() < 1e-6);

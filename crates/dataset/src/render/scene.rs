@@ -19,15 +19,19 @@ pub struct Finish {
 
 /// A posed mesh. The mesh carries normals, and texture or vertex colours.
 #[derive(Clone, Debug)]
-pub struct Placed {
+pub struct PosedMesh {
+    /// Object frame, metres.
     pub mesh: Arc<TriangleMesh>,
+    /// Of the whole surface.
     pub finish: Finish,
+    /// Object to world, metres.
     pub t_world_object: Pose,
 }
 
 /// A spherical light.
 #[derive(Clone, Copy, Debug)]
 pub struct Light {
+    /// Centre in the world, metres.
     pub position: Vector3<f32>,
     /// Metres; a larger light casts softer shadows.
     pub radius: f32,
@@ -38,22 +42,26 @@ pub struct Light {
 /// A repeating picture on a flat surface.
 #[derive(Clone, Debug)]
 pub struct Surface {
+    /// Surface colour, sRGB.
     pub picture: Arc<RgbImage>,
     /// Side of the picture, metres.
     pub tile: f32,
     /// Direction of the picture's rows, radians.
     pub angle: f32,
+    /// Of the whole surface.
     pub finish: Finish,
 }
 
 /// A box of the surroundings: table top, board of a shelf, wall of a bin, furniture.
 #[derive(Clone, Debug)]
 pub struct Block {
+    /// Centre in the world, metres.
     pub center: Vector3<f32>,
     /// Half extents along its own axes, metres.
     pub half: [f32; 3],
     /// Sine and cosine of its angle about z.
     pub turn: [f32; 2],
+    /// On all sides.
     pub surface: Surface,
     /// Near enough to the objects to throw shadows on them.
     pub casts_shadow: bool,
@@ -62,23 +70,31 @@ pub struct Block {
 /// A box-shaped room with blocks in it.
 #[derive(Clone, Debug)]
 pub struct Room {
+    /// Furniture and boards, which hide each other and the walls.
     pub blocks: Vec<Block>,
+    /// Surface below everything.
     pub floor: Surface,
+    /// Surface of the walls and the ceiling.
     pub wall: Surface,
     /// Floor below the table top, metres.
     pub floor_drop: f32,
-    /// Half side of the room and height of the ceiling above the table, metres.
+    /// Half side of the square floor plan, metres.
     pub half: f32,
+    /// Height of the ceiling above the table top, metres.
     pub ceiling: f32,
 }
 
 /// Everything in front of the camera.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    pub objects: Vec<Placed>,
+    /// Meshes that get ids, masks and poses.
+    pub objects: Vec<PosedMesh>,
+    /// Surroundings of the objects.
     pub room: Room,
+    /// Lights with shadows.
     pub lights: Vec<Light>,
-    /// Ambient radiance from above and from below, linear RGB.
+    /// Ambient radiance from above, linear RGB.
     pub sky: [f32; 3],
+    /// Ambient radiance from below, linear RGB.
     pub ground: [f32; 3],
 }

@@ -11,7 +11,7 @@ use super::scene::Finish;
 const DIELECTRIC: f32 = 0.04;
 
 /// A surface point as the lights see it. Directions are unit vectors.
-pub(super) struct Shaded<'a> {
+pub(super) struct ShadingPoint<'a> {
     pub normal: &'a Vector3<f32>,
     /// Towards the camera.
     pub view: &'a Vector3<f32>,
@@ -38,7 +38,7 @@ impl Reflection {
     }
 }
 
-impl Shaded<'_> {
+impl ShadingPoint<'_> {
     /// Part per albedo and part on its own of what is reflected under a Fresnel term.
     fn mirrored(&self, fresnel: f32) -> (f32, f32) {
         let m = self.finish.metallic;

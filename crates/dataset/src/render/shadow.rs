@@ -5,12 +5,12 @@ use unopose_core::geometry::{Intrinsics, Pose};
 
 use super::{
     raster::{self, Window},
-    scene::{Light, Placed},
+    scene::{Light, PosedMesh},
 };
 
 const SIZE: i32 = 512;
 /// Widest filter, texels.
-const REACH: f32 = 32.0;
+const MAX_FILTER_RADIUS: f32 = 32.0;
 /// Side of the tiles that tell where no object is near, texels; not below the widest filter.
 const TILE: i32 = 32;
 const TILES: i32 = SIZE / TILE;
@@ -60,7 +60,7 @@ impl ShadowMap {
     /// `center` and `radius` bound the objects; `boards` are the corners of boxes that throw shadows, too.
     pub fn new(
         light: &Light,
-        objects: &[Placed],
+        objects: &[PosedMesh],
         boards: &[[Vector3<f32>; 8]],
         center: &Vector3<f32>,
         radius: f32,
@@ -121,7 +121,7 @@ impl ShadowMap {
     fn nearest_around(&self, u: f32, v: f32) -> f32 {
         let tile = |x: f32| (x * (1.0 / TILE as f32) + 1.0) as i32;
         let (col, row) = (tile(u), tile(v));
-        if u < -REACH || v < -REACH || col > TILES + 1 || row > TILES + 1 {
+        if u < -MAX_FILTER_RADIUS || v < -MAX_FILTER_RADIUS || col > TILES + 1 || row > TILES + 1 {
             return f32::INFINITY;
         }
         self.near_tile[(row * (TILES + 2) + col) as usize]
@@ -140,7 +140,7 @@ impl ShadowMap {
         if self.nearest_around(u, v) >= p.z - bias {
             return 1.0;
         }
-        let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, REACH);
+        let search = (self.focal * self.light_radius * 0.15 / p.z).clamp(1.5, MAX_FILTER_RADIUS);
         let tap = |[x, y]: &[f32; 2], size: f32| {
             let (dx, dy) = (turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y);
             self.blocker(u + dx * size, v + dy * size)
@@ -160,7 +160,7 @@ impl ShadowMap {
         // Width of the penumbra from similar triangles (percentage-closer soft shadows, Fernando 2005).
         let blocker = sum / count as f32;
         let penumbra = self.light_radius * (p.z - blocker) / blocker;
-        let size = (self.focal * penumbra / p.z).clamp(0.7, REACH);
+        let size = (self.focal * penumbra / p.z).clamp(0.7, MAX_FILTER_RADIUS);
         if 2 * count == TAPS && size <= search {
             return 0.0;
         }

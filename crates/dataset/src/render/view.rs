@@ -6,7 +6,7 @@ use super::{
     buffer::VisibilityBuffer,
     camera::Camera,
     color::radiance,
-    indirect::Bounces,
+    indirect::IndirectLight,
     lighting::LitScene,
     rays::Rays,
     room::RoomView,
@@ -27,23 +27,25 @@ pub struct Rendering {
     pub incidence: Vec<f32>,
     /// Luminance of the surface colour, linear.
     pub albedo: Vec<f32>,
+    /// Reflection properties of the surface.
     pub finish: Vec<Finish>,
 }
 
 /// A scene with what its views share.
 pub struct SceneRenderer<'a> {
     lit_scene: LitScene<'a>,
-    bounces: Option<Bounces>,
+    indirect: Option<IndirectLight>,
 }
 
 impl<'a> SceneRenderer<'a> {
+    /// Makes the shadow maps of all lights.
     pub fn new(scene: &'a Scene) -> Self {
-        Self { lit_scene: LitScene::new(scene), bounces: None }
+        Self { lit_scene: LitScene::new(scene), indirect: None }
     }
 
     /// Ambient light is gathered by this many rays per pixel instead of being taken from the sky's shadow map; 0: not.
     pub fn with_indirect_rays(self, rays: u32) -> Self {
-        Self { bounces: (rays > 0).then(|| Bounces::new(self.lit_scene.scene, rays)), ..self }
+        Self { indirect: (rays > 0).then(|| IndirectLight::new(self.lit_scene.scene, rays)), ..self }
     }
 
     /// Renders with `density`² colour samples per pixel.
@@ -62,7 +64,7 @@ impl<'a> SceneRenderer<'a> {
         let rays = Rays::new(camera, &pixels.intrinsics);
         let room = RoomView::new(&scene.room, camera);
         for row in 0..camera.height {
-            let line = room.line(row);
+            let line = room.scanline(row);
             for col in 0..camera.width {
                 let i = surfels.len();
                 let direction = rays.direction(col, row);
@@ -78,8 +80,10 @@ impl<'a> SceneRenderer<'a> {
                 surfels.push((key, surfel));
             }
         }
-        let gathered =
-            self.bounces.as_ref().map(|b| b.gather(&self.lit_scene, &out.ids, camera.width, &surfels));
+        let gathered = self
+            .indirect
+            .as_ref()
+            .map(|light| light.gather(&self.lit_scene, &out.ids, camera.width, &surfels));
         out.radiance = radiance(&self.lit_scene, camera, density, &surfels, gathered.as_deref());
         out
     }

@@ -14,31 +14,35 @@ const MISSED_DEG: f64 = 180.0;
 
 /// Means over all targets. A target without an estimate has the worst value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct PoseAccuracy {
-    /// Area under the share of targets with an error below 0 .. 10 cm, exact.
+    /// Area under the curve of accuracy over the largest ADD of 0 to 10 cm, computed exactly, 0..=1.
     #[serde(rename = "ADD_AUC")]
     pub add_auc: f64,
+    /// The same for ADD-S.
     #[serde(rename = "ADD_S_AUC")]
     pub add_s_auc: f64,
-    /// Share of targets with an error below 10 % of the diameter.
+    /// Share of targets with an ADD below 10 % of the diameter.
     #[serde(rename = "ADD_01d")]
     pub add_01d: f64,
+    /// The same for ADD-S.
     #[serde(rename = "ADD_S_01d")]
     pub add_s_01d: f64,
-    /// ADD-S for objects with symmetries, ADD for the others.
+    /// The same with ADD-S for objects with symmetries and ADD for the others.
     #[serde(rename = "ADD_or_ADD_S_01d")]
     pub add_or_add_s_01d: f64,
     /// Mean rotation error in degrees, smallest over the symmetries; 180 without an estimate.
     pub angular_error_deg: f64,
-    /// Share of targets with a rotation error below 15 and 30 degrees.
+    /// Share of targets with a rotation error below 15 degrees.
     #[serde(rename = "Acc15")]
     pub acc15: f64,
+    /// Share of targets with a rotation error below 30 degrees.
     #[serde(rename = "Acc30")]
     pub acc30: f64,
 }
 
 impl PoseAccuracy {
-    pub fn of(targets: &[TargetOutcome]) -> Self {
+    pub(super) fn of(targets: &[TargetOutcome]) -> Self {
         let count = targets.len().max(1) as f64;
         let mean = |value: &dyn Fn(&TargetOutcome) -> f64| targets.iter().map(value).sum::<f64>() / count;
         let share = |right: &dyn Fn(&TargetOutcome, &PoseErrors) -> bool| {

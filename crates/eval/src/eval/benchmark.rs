@@ -9,13 +9,18 @@ use unopose_dataset::{
     formats::{
         Target,
         files::write_json,
-        results::{ResultName, write_results},
+        results::{result_file_name, write_results},
         targets::read_targets,
     },
     protocol::{TargetList, TargetPoses},
 };
 
-use super::{EvalError, Evaluation, RotationBins, ScoreOptions, score_results};
+use super::{
+    EvalError,
+    bins::RotationBins,
+    options::ScoreOptions,
+    scoring::{Evaluation, score_results},
+};
 
 /// The dataset's own list of targets.
 const BOP_TARGETS: &str = "test_targets_bop19.json";
@@ -27,12 +32,7 @@ pub fn write_poses(
     method: &str,
     folder: &Path,
 ) -> Result<PathBuf, EvalError> {
-    let name = ResultName {
-        method: method.to_owned(),
-        dataset: Some(list.dataset.name()),
-        split: Some(list.split.name()),
-    };
-    let path = folder.join(name.file_name());
+    let path = folder.join(result_file_name(method, &list.dataset.name(), &list.split.name()));
     write_results(&path, &poses.results)?;
     write_json(&folder.join("rejected.json"), &poses.rejections, true)?;
     Ok(path)

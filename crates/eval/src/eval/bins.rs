@@ -60,6 +60,7 @@ impl RotationBins {
         Ok(Self { degrees })
     }
 
+    /// Degrees between the views of a target and its nearest reference; `None` for what is no target of the list.
     pub fn degrees(&self, scene_id: u32, im_id: u32, obj_id: u32) -> Option<f64> {
         self.degrees.get(&(scene_id, im_id, obj_id)).copied()
     }

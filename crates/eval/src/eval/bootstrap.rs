@@ -11,8 +11,11 @@ use super::TargetOutcome;
 /// A value with its 95 % interval (percentiles of the resampled values).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
+    /// Mean over all targets.
     pub value: f64,
+    /// 2.5th percentile.
     pub low: f64,
+    /// 97.5th percentile.
     pub high: f64,
 }
 
@@ -21,19 +24,20 @@ const TAIL: f64 = 0.025;
 
 /// Average recall with its interval. Instances of one image are drawn together, they share light, noise and clutter.
 pub fn average_recall_interval(targets: &[TargetOutcome], resamples: usize, seed: u64) -> Interval {
-    interval(targets.iter().map(|t| (image(t), t.credit())), resamples, seed)
+    interval(targets.iter().map(|t| (image(t), t.average_recall())), resamples, seed)
 }
 
 /// Average recalls of VSD, MSSD and MSPD with their intervals.
 pub fn error_type_intervals(targets: &[TargetOutcome], resamples: usize, seed: u64) -> [Interval; 3] {
-    [0, 1, 2].map(|kind| interval(targets.iter().map(|t| (image(t), t.credits()[kind])), resamples, seed))
+    [0, 1, 2]
+        .map(|kind| interval(targets.iter().map(|t| (image(t), t.average_recalls()[kind])), resamples, seed))
 }
 
 /// Difference of the average recalls `a - b` on the targets that both have, with its interval.
 pub fn paired_difference(a: &[TargetOutcome], b: &[TargetOutcome], resamples: usize, seed: u64) -> Interval {
     let key = |t: &TargetOutcome| (t.scene_id, t.im_id, t.obj_id, t.gt_index);
-    let others: BTreeMap<_, f64> = b.iter().map(|t| (key(t), t.credit())).collect();
-    let differences = a.iter().filter_map(|t| Some((image(t), t.credit() - others.get(&key(t))?)));
+    let others: BTreeMap<_, f64> = b.iter().map(|t| (key(t), t.average_recall())).collect();
+    let differences = a.iter().filter_map(|t| Some((image(t), t.average_recall() - others.get(&key(t))?)));
     interval(differences, resamples, seed)
 }
 

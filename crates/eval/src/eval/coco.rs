@@ -26,7 +26,7 @@ pub const MIN_VISIBILITY: f64 = 0.1;
 
 /// Where an instance is.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Region {
+enum Region {
     /// x, y, width, height in pixels.
     Box([f64; 4]),
     Mask(Foreground),
@@ -35,57 +35,63 @@ pub enum Region {
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegionKind {
+    /// Bounding boxes (COCO's bbox); those of the ground truth enclose the whole silhouette.
     Box,
+    /// Visible masks (COCO's segm).
     Mask,
 }
 
 /// An annotated instance.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CocoGroundTruth {
-    pub scene_id: u32,
-    pub im_id: u32,
-    pub obj_id: u32,
-    pub region: Region,
-    pub ignored: bool,
+struct CocoGroundTruth {
+    scene_id: u32,
+    im_id: u32,
+    obj_id: u32,
+    region: Region,
+    ignored: bool,
 }
 
 /// A detected instance.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CocoDetection {
-    pub scene_id: u32,
-    pub im_id: u32,
-    pub obj_id: u32,
-    pub score: f64,
-    pub region: Region,
+struct CocoDetection {
+    scene_id: u32,
+    im_id: u32,
+    obj_id: u32,
+    score: f64,
+    region: Region,
 }
 
 /// Mean average precisions, each in 0..=1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct CocoScores {
     /// Mean over thresholds and objects.
     #[serde(rename = "mAP")]
     pub map: f64,
-    /// At an overlap of 0.5 and of 0.75, mean over the objects.
+    /// At an overlap (IoU) of 0.5, mean over the objects.
     #[serde(rename = "AP50")]
     pub ap50: f64,
+    /// At an overlap of 0.75, mean over the objects.
     #[serde(rename = "AP75")]
     pub ap75: f64,
     /// Share of the instances that are found, mean over thresholds and objects.
     #[serde(rename = "AR100")]
     pub ar100: f64,
+    /// Mean over the thresholds, by object id.
     pub per_object: BTreeMap<u32, f64>,
-    /// Instances that count, and that are ignored.
+    /// Annotated instances to be found.
     pub n_instances: usize,
+    /// Annotated instances that are hardly visible.
     pub n_ignored: usize,
-    /// Detections that were compared, and those left out: of images without any ground truth, and of objects without any
-    /// that counts.
+    /// Detections that were compared.
     pub n_detections: usize,
+    /// Detections left out: of images without any ground truth, and of objects without any that counts.
     pub n_outside: usize,
 }
 
 impl Region {
     /// Intersection over union; 0 between a box and a mask.
-    pub fn iou(&self, other: &Self) -> f64 {
+    fn iou(&self, other: &Self) -> f64 {
         match (self, other) {
             (Self::Mask(a), Self::Mask(b)) => a.iou(b),
             (Self::Box(a), Self::Box(b)) => {
@@ -99,9 +105,21 @@ impl Region {
     }
 }
 
+/// Scores the detections in the images of `targets` by their masks or boxes; `place` is the list of detections in messages.
+pub fn coco_scores(
+    split: &BopSplit,
+    targets: &[Target],
+    detections: &[Detection],
+    place: &str,
+    kind: RegionKind,
+) -> Result<CocoScores, EvalError> {
+    let detections = coco_detections(detections, place, kind)?;
+    Ok(coco_map(&coco_ground_truth(split, targets, kind)?, &detections))
+}
+
 /// Scores detections. The images are those of the ground truth: it holds all annotated instances of every image, also of
 /// objects that are not asked for.
-pub fn coco_map(ground_truth: &[CocoGroundTruth], detections: &[CocoDetection]) -> CocoScores {
+fn coco_map(ground_truth: &[CocoGroundTruth], detections: &[CocoDetection]) -> CocoScores {
     let images: BTreeSet<(u32, u32)> = ground_truth.iter().map(|g| (g.scene_id, g.im_id)).collect();
     let mut objects: BTreeMap<u32, BTreeMap<(u32, u32), ObjectInImage>> = BTreeMap::new();
     let mut counted: BTreeMap<u32, usize> = BTreeMap::new();
@@ -140,7 +158,7 @@ pub fn coco_map(ground_truth: &[CocoGroundTruth], detections: &[CocoDetection]) 
 }
 
 /// All annotated instances of the targets' images.
-pub fn coco_ground_truth(
+fn coco_ground_truth(
     split: &BopSplit,
     targets: &[Target],
     kind: RegionKind,
@@ -166,13 +184,17 @@ pub fn coco_ground_truth(
 }
 
 /// Detections as they are compared; an error names the entry of the list with the broken mask.
-pub fn coco_detections(detections: &[Detection], kind: RegionKind) -> Result<Vec<CocoDetection>, EvalError> {
+fn coco_detections(
+    detections: &[Detection],
+    place: &str,
+    kind: RegionKind,
+) -> Result<Vec<CocoDetection>, EvalError> {
     let convert = |(index, detection): (usize, &Detection)| -> Result<CocoDetection, EvalError> {
         let region = match kind {
             RegionKind::Box => Region::Box(detection.bbox),
             RegionKind::Mask => {
                 let foreground = Foreground::new(&detection.segmentation);
-                Region::Mask(foreground.map_err(|e| e.within(format!("detections: entry {index}")))?)
+                Region::Mask(foreground.map_err(|e| e.within(format!("{place}: entry {index}")))?)
             }
         };
         Ok(CocoDetection {

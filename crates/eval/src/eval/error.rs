@@ -2,19 +2,37 @@
 
 use unopose_dataset::{formats::FormatError, mesh::MeshError};
 
-/// Error of the `eval` room.
+/// Why poses or detections could not be scored.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum EvalError {
+    /// A file of the dataset, of the targets or of the results.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// An evaluation model.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// A target's object without an entry in `models_info.json`.
     #[error("{file}: object {obj_id} not found, but it is among the targets")]
-    UnknownObject { file: String, obj_id: u32 },
+    UnknownObject {
+        /// `models_info.json`.
+        file: String,
+        /// Object id of the target.
+        obj_id: u32,
+    },
+    /// A target whose image has no annotated instance of its object.
     #[error(
         "{scene}: image {im_id} is a target for object {obj_id}, but scene_gt.json has no instance of it"
     )]
-    TargetWithoutGt { scene: String, im_id: u32, obj_id: u32 },
+    TargetWithoutGt {
+        /// Folder of the scene.
+        scene: String,
+        /// Image id of the target.
+        im_id: u32,
+        /// Object id of the target.
+        obj_id: u32,
+    },
+    /// An empty list of targets.
     #[error("no targets to score")]
     NoTargets,
 }

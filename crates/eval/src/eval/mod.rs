@@ -1,8 +1,8 @@
 //! Scoring of estimated poses and detections: VSD, MSSD, MSPD and their average recalls as in the BOP challenges since 2019,
 //! mean average precisions as in the later ones, ADD and ADD-S, angular errors, and COCO's mAP.
 //!
-//! [`score_files`] scores a result table of a dataset folder, [`score_results`] results in memory; both give
-//! the [`Scores`] that `scores.json` holds and the errors of every target. The metrics follow the official
+//! [`score_files`] scores a result table of a dataset folder, [`score_poses`] poses in memory; both give the [`Scores`] that
+//! `scores.json` holds and the errors of every target. The metrics follow the official
 //! toolkit, metres instead of millimetres. Images are scored in parallel, one depth image per thread in
 //! memory.
 
@@ -28,29 +28,23 @@ mod vsd;
 
 pub use accuracy::PoseAccuracy;
 pub use benchmark::{score_poses, write_poses};
-pub use bins::{ROTATION_EDGES, RotationBins, VISIBILITY_EDGES};
+pub use bins::{ROTATION_EDGES, VISIBILITY_EDGES};
 pub use bootstrap::{Interval, average_recall_interval, error_type_intervals, paired_difference};
-pub use coco::{
-    CocoDetection, CocoGroundTruth, CocoScores, MIN_VISIBILITY, Region, RegionKind, coco_detections,
-    coco_ground_truth, coco_map,
-};
+pub use coco::{CocoScores, RegionKind, coco_scores};
 pub use error::EvalError;
-pub use matching::match_estimates;
 pub use object::EvalObject;
-pub use options::ScoreOptions;
-pub use outcome::{Hits, PoseErrors, TargetOutcome};
-pub use pose_detection::{ObjectEstimates, PoseMap};
-pub use pose_error::{add, add_s, mspd, mssd, rotation_error_deg};
+pub use outcome::{PoseErrors, TargetOutcome};
+pub use pose_detection::PoseAveragePrecision;
 pub use reliability::{Reliability, ReliabilityBin};
-pub use scores::{AverageRecall, BinScore, EstimateCounts, MeanTimes, Scores, average_recall};
-pub use scoring::{Evaluation, ScoreFiles, score_files, score_results};
+pub use scores::{AverageRecall, BinScore, Scores};
+pub use scoring::{Evaluation, ScoreFiles, score_files};
 pub use segmentation::{SegmentationScores, score_segmentation};
-pub use vsd::{TestView, vsd};
+pub use vsd::TestView;
 
 /// Number of misalignment tolerances of VSD.
-pub const TAUS: usize = 10;
+const TAUS: usize = 10;
 /// Number of thresholds of correctness.
-pub const THRESHOLDS: usize = 10;
+const THRESHOLDS: usize = 10;
 /// Pixels between the thresholds of MSPD in an image of [`REFERENCE_WIDTH`].
 const MSPD_STEP: f64 = 5.0;
 /// Image width that MSPD's thresholds are meant for.

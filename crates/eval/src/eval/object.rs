@@ -17,7 +17,9 @@ const METRES_PER_MM: f32 = 1e-3;
 /// Evaluation model of an object, metres.
 #[derive(Clone, Debug)]
 pub struct EvalObject {
+    /// Evaluation model of the dataset, with which the errors are computed.
     pub mesh: TriangleMesh,
+    /// Largest distance between two vertices as `models_info.json` gives it, metres.
     pub diameter: f64,
     /// All symmetries, the identity among them.
     pub symmetries: Vec<Pose>,
@@ -33,12 +35,12 @@ impl EvalObject {
     }
 
     /// Is there a symmetry besides the identity?
-    pub fn is_symmetric(&self) -> bool {
+    pub(super) fn is_symmetric(&self) -> bool {
         self.symmetries.len() > 1
     }
 
     /// Distance from a point (object frame, metres) to the nearest vertex; infinite without vertices.
-    pub fn distance_to_vertices(&self, point: &[f32; 3]) -> f64 {
+    pub(super) fn distance_to_vertices(&self, point: &[f32; 3]) -> f64 {
         let nearest = self.tree.as_ref().map(|tree| tree.nearest_one::<SquaredEuclidean>(point).distance);
         nearest.map_or(f64::INFINITY, |squared| f64::from(squared).sqrt())
     }

@@ -2,7 +2,7 @@
 
 use unopose_dataset::formats::BopDataset;
 
-use super::RotationBins;
+use super::bins::RotationBins;
 
 /// What scoring leaves open.
 #[derive(Clone, Copy)]

@@ -16,18 +16,19 @@ use super::{
 /// All errors of an estimated pose against a true one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseErrors {
-    /// By tau, each 0..=1.
+    /// Visible surface discrepancy by tolerance tau, 0.05 to 0.5 of the diameter, each in 0..=1.
     pub vsd: [f64; TAUS],
-    /// Metres; infinite (null in JSON) when the bounding spheres do not meet.
+    /// Maximum symmetry-aware surface distance, metres; infinite (null in JSON) when the bounding spheres do not meet.
     pub mssd: f64,
-    /// Pixels.
+    /// Maximum symmetry-aware projection distance, pixels of the image.
     pub mspd: f64,
-    /// Average distances of model points, metres; infinite (null in JSON) when the bounding spheres do not meet.
+    /// Average distance of the model points, metres; infinite (null in JSON) when the bounding spheres do not meet.
     pub add: f64,
+    /// Average distance of the model points to the nearest one of the other pose, metres; infinite as `add`.
     pub add_s: f64,
-    /// Smallest over the symmetries.
+    /// Rotation angle to the true pose, smallest over the symmetries, degrees.
     pub rotation_deg: f64,
-    /// Metres.
+    /// Distance of the object's origin from its true place, metres.
     pub translation: f64,
 }
 
@@ -53,7 +54,7 @@ impl PoseErrors {
 
     /// Share of BOP's thresholds that the errors stay below, averaged over VSD (and its tolerances), MSSD and MSPD: the
     /// average recall of this pose alone.
-    pub fn credit(&self, diameter: f64, image_width: u32) -> f64 {
+    pub fn average_recall(&self, diameter: f64, image_width: u32) -> f64 {
         let below = |error: f64, limit: &dyn Fn(usize) -> f64| {
             (0..THRESHOLDS).filter(|&i| error < limit(i)).count() as f64 / THRESHOLDS as f64
         };
@@ -67,19 +68,27 @@ impl PoseErrors {
 /// Was a target found, by threshold?
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Hits {
+    /// `[tau][threshold]`.
     pub vsd: [[bool; THRESHOLDS]; TAUS],
+    /// By threshold, 0.05 to 0.5 of the diameter.
     pub mssd: [bool; THRESHOLDS],
+    /// By threshold, 5 to 50 pixels at an image width of 640.
     pub mspd: [bool; THRESHOLDS],
 }
 
 /// What became of one target instance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct TargetOutcome {
+    /// Scene of the target.
     pub scene_id: u32,
+    /// Image of the target in its scene.
     pub im_id: u32,
+    /// Object of the target.
     pub obj_id: u32,
     /// Index in `scene_gt.json`.
     pub gt_index: usize,
+    /// Visible share of the instance's silhouette, 0..=1.
     pub visib_fract: f64,
     /// Degrees between target and reference view, where known.
     pub rot_deg: Option<f64>,
@@ -87,21 +96,22 @@ pub struct TargetOutcome {
     pub diameter: f64,
     /// Has the object symmetries?
     pub symmetric: bool,
-    /// Errors of the estimate that answers this target, `None` without one: in the order of their scores the estimates
-    /// take the free instance that is nearest.
+    /// Errors of the estimate assigned to this target, `None` without one: by descending score, every estimate takes the
+    /// nearest instance that is still free.
     pub errors: Option<PoseErrors>,
+    /// Thresholds at which BOP's matching credits an estimate to this target.
     #[serde(skip)]
-    pub hits: Hits,
+    pub(crate) hits: Hits,
 }
 
 impl TargetOutcome {
     /// The target's part in the average recall, in 0..=1: AR is the mean of it over all targets.
-    pub fn credit(&self) -> f64 {
-        self.credits().iter().sum::<f64>() / 3.0
+    pub fn average_recall(&self) -> f64 {
+        self.average_recalls().iter().sum::<f64>() / 3.0
     }
 
     /// The parts in the average recalls of VSD, MSSD and MSPD.
-    pub fn credits(&self) -> [f64; 3] {
+    pub fn average_recalls(&self) -> [f64; 3] {
         let share = |hits: &[bool]| hits.iter().filter(|&&hit| hit).count() as f64 / hits.len() as f64;
         let Hits { vsd, mssd, mspd } = &self.hits;
         [share(vsd.as_flattened()), share(mssd), share(mspd)]
@@ -128,17 +138,17 @@ pub fn hits(errors: &[Vec<PoseErrors>], gt_count: usize, diameter: f64, image_wi
     hits
 }
 
-/// The estimate that answers each ground truth. `errors[estimate][ground truth]`, estimates by descending score.
-pub fn answers(errors: &[Vec<PoseErrors>], gt_count: usize) -> Vec<Option<&PoseErrors>> {
+/// Errors of the estimate assigned to each ground truth. `errors[estimate][ground truth]`, estimates by descending score.
+pub fn assigned_errors(errors: &[Vec<PoseErrors>], gt_count: usize) -> Vec<Option<&PoseErrors>> {
     let distances: Vec<Vec<f64>> =
         errors.iter().map(|row| row.iter().map(|e| e.translation).collect()).collect();
-    let mut answers = vec![None; gt_count];
+    let mut assigned = vec![None; gt_count];
     for (row, matched) in errors.iter().zip(match_estimates(&distances, f64::INFINITY)) {
         if let Some(g) = matched {
-            answers[g] = Some(&row[g]);
+            assigned[g] = Some(&row[g]);
         }
     }
-    answers
+    assigned
 }
 
 fn matched(

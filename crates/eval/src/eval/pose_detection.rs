@@ -19,8 +19,9 @@ pub const MAX_ESTIMATES: usize = 100;
 /// The estimates of one object in one image.
 #[derive(Clone, Debug)]
 pub struct ObjectEstimates {
+    /// Object of all of them.
     pub obj_id: u32,
-    /// Descending.
+    /// Of the estimates, descending.
     pub scores: Vec<f64>,
     /// `[estimate][instance]`, shares of the diameter.
     pub mssd: Vec<Vec<f64>>,
@@ -32,12 +33,15 @@ pub struct ObjectEstimates {
 
 /// Mean average precisions, each in 0..=1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PoseMap {
-    /// Mean of the two.
+#[non_exhaustive]
+pub struct PoseAveragePrecision {
+    /// Mean of those of MSSD and MSPD.
     #[serde(rename = "mAP")]
     pub map: f64,
+    /// With MSSD as error, thresholds 0.05 to 0.5 of the diameter.
     #[serde(rename = "mAP_MSSD")]
     pub map_mssd: f64,
+    /// With MSPD as error, thresholds 5 to 50 pixels at an image width of 640.
     #[serde(rename = "mAP_MSPD")]
     pub map_mspd: f64,
     /// Average precision by object, mean of both errors.
@@ -45,9 +49,9 @@ pub struct PoseMap {
     pub per_object: BTreeMap<u32, f64>,
 }
 
-impl PoseMap {
+impl PoseAveragePrecision {
     /// Means over the thresholds, then over the objects that have an instance to be found.
-    pub fn new(images: &[ObjectEstimates]) -> Self {
+    pub(super) fn new(images: &[ObjectEstimates]) -> Self {
         let mut objects: BTreeMap<u32, Vec<&ObjectEstimates>> = BTreeMap::new();
         for image in images {
             objects.entry(image.obj_id).or_default().push(image);
@@ -112,24 +116,25 @@ mod tests {
     fn false_alarms_cost_and_ignored_instances_do_not() {
         // Right at all ten thresholds; a worse scored false alarm does not matter, a better scored one halves it.
         let right = image(1, &[(0.9, &[0.01]), (0.2, &[0.9])], &[true]);
-        assert_eq!(PoseMap::new(std::slice::from_ref(&right)).map, 1.0);
+        assert_eq!(PoseAveragePrecision::new(std::slice::from_ref(&right)).map, 1.0);
         let late = image(1, &[(0.9, &[0.9]), (0.2, &[0.01])], &[true]);
-        assert!((PoseMap::new(&[late]).map - 0.5).abs() < 1e-12);
+        assert!((PoseAveragePrecision::new(&[late]).map - 0.5).abs() < 1e-12);
         // The better scored one lies on an ignored instance.
         let ignored = image(1, &[(0.9, &[0.9, 0.01]), (0.2, &[0.01, 0.9])], &[true, false]);
-        assert_eq!(PoseMap::new(&[ignored]).map, 1.0);
+        assert_eq!(PoseAveragePrecision::new(&[ignored]).map, 1.0);
         // An estimate where there is no instance is a false alarm, too.
         let nowhere = image(1, &[(0.95, &[])], &[]);
-        assert!((PoseMap::new(&[right, nowhere]).map - 0.5).abs() < 1e-12);
+        assert!((PoseAveragePrecision::new(&[right, nowhere]).map - 0.5).abs() < 1e-12);
     }
 
     #[test]
     fn thresholds_and_objects_are_averaged() {
         // 0.26 of the diameter is below 5 of 10 thresholds, 26 pixels as well; object 2 is never found.
         let half = image(1, &[(0.9, &[0.26])], &[true]);
-        let map = PoseMap::new(&[half, image(2, &[], &[true]), image(3, &[(0.5, &[0.0])], &[false])]);
+        let map =
+            PoseAveragePrecision::new(&[half, image(2, &[], &[true]), image(3, &[(0.5, &[0.0])], &[false])]);
         assert!((map.map - 0.25).abs() < 1e-12 && (map.map_mspd - 0.25).abs() < 1e-12, "{map:?}");
         assert_eq!(map.per_object.len(), 2);
-        assert_eq!(PoseMap::new(&[]), PoseMap::default());
+        assert_eq!(PoseAveragePrecision::new(&[]), PoseAveragePrecision::default());
     }
 }

@@ -11,29 +11,36 @@ const RISK: f64 = 0.1;
 /// Pairs with similar probabilities.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReliabilityBin {
-    /// Mean probability, and the share that was right.
+    /// Mean predicted probability.
     pub predicted: f64,
+    /// Share whose pose was right.
     pub right: f64,
+    /// Number of pairs.
     pub count: usize,
 }
 
 /// Probabilities against outcomes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Reliability {
+    /// Number of pairs.
     pub count: usize,
+    /// Share whose pose was right.
     pub right_share: f64,
     /// Expected calibration error: mean distance of predicted and found share over the bins, weighed by their counts.
     pub calibration_error: f64,
-    /// Mean squared distance of probability and outcome.
+    /// Brier score: mean squared difference of probability and outcome (0 or 1).
     pub brier: f64,
-    /// Chance that a right one has a higher probability than a wrong one; `None` with only one outcome.
+    /// Area under the ROC curve: chance that a right pose has a higher probability than a wrong one; `None` when all are
+    /// right or all are wrong.
     pub auroc: Option<f64>,
-    /// Mean risk over all coverages.
+    /// Area under the risk-coverage curve: mean risk over all coverages.
     pub risk_area: f64,
     /// Largest share that can be trusted with at most a tenth of it wrong.
     pub coverage_at_risk: f64,
+    /// Up to ten bins of equal counts, by ascending probability.
     pub bins: Vec<ReliabilityBin>,
-    /// Share trusted, from the highest probability down, and the share of wrong ones among it.
+    /// Coverage and risk: share trusted, from the highest probability down, and the share of wrong ones among it.
     pub risk_coverage: Vec<(f64, f64)>,
 }
 

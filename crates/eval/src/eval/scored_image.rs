@@ -10,7 +10,7 @@ use super::{
     coco::MIN_VISIBILITY,
     matching::top,
     options::ScoreOptions,
-    outcome::{answers, hits},
+    outcome::{assigned_errors, hits},
     pose_detection::{MAX_ESTIMATES, ObjectEstimates},
     pose_error::{mspd, mssd},
     vsd::TestView,
@@ -106,10 +106,10 @@ impl ObjectInImage<'_> {
         scored.n_estimates += compared.len();
         let view = &annotation.view;
         let hits = hits(&errors, valid.len(), self.object.diameter, view.depth.width);
-        let answers = answers(&errors, valid.len());
+        let assigned = assigned_errors(&errors, valid.len());
         let (scene_id, im_id) = (annotation.scene.id, annotation.im_id);
         let rotations = annotation.options.rotations;
-        for ((&instance, hits), answer) in valid.iter().zip(hits).zip(answers) {
+        for ((&instance, hits), errors) in valid.iter().zip(hits).zip(assigned) {
             let (gt_index, _, visib_fract) = self.instances[instance];
             scored.targets.push(TargetOutcome {
                 scene_id,
@@ -120,7 +120,7 @@ impl ObjectInImage<'_> {
                 rot_deg: rotations.and_then(|r| r.degrees(scene_id, im_id, self.obj_id)),
                 diameter: self.object.diameter,
                 symmetric: self.object.is_symmetric(),
-                errors: answer.cloned(),
+                errors: errors.cloned(),
                 hits,
             });
         }

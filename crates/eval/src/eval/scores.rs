@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use unopose_dataset::formats::{FormatError, files::write_json};
 
 use super::{
-    PoseAccuracy, PoseMap, TAUS, THRESHOLDS,
+    PoseAccuracy, PoseAveragePrecision, TAUS, THRESHOLDS,
     bins::{ROTATION_EDGES, VISIBILITY_EDGES, bin_of},
     outcome::TargetOutcome,
 };
@@ -14,13 +14,16 @@ use super::{
 /// Average recalls of a group of targets, each in 0..=1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AverageRecall {
-    /// Mean of the three.
+    /// Mean of the average recalls of VSD, MSSD and MSPD.
     #[serde(rename = "AR")]
     pub ar: f64,
+    /// Of the visible surface discrepancy, mean over tolerances and thresholds.
     #[serde(rename = "AR_VSD")]
     pub ar_vsd: f64,
+    /// Of the maximum symmetry-aware surface distance, mean over thresholds.
     #[serde(rename = "AR_MSSD")]
     pub ar_mssd: f64,
+    /// Of the maximum symmetry-aware projection distance, mean over thresholds.
     #[serde(rename = "AR_MSPD")]
     pub ar_mspd: f64,
     /// Target instances, found or not.
@@ -30,19 +33,26 @@ pub struct AverageRecall {
 /// Average recalls of the targets with a value from `from` (included) to `to`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BinScore {
+    /// Lower limit, in the bins' unit: visible share or degrees.
     pub from: f64,
+    /// Upper limit.
     pub to: f64,
+    /// Average recalls of the bin's targets.
     #[serde(flatten)]
     pub recall: AverageRecall,
 }
 
 /// The contents of `scores.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Scores {
+    /// Average recalls of all targets (BOP challenges since 2019).
     #[serde(flatten)]
     pub recall: AverageRecall,
+    /// Mean average precisions of all estimates (BOP challenge 2024).
     #[serde(flatten)]
-    pub detection: PoseMap,
+    pub detection: PoseAveragePrecision,
+    /// ADD, ADD-S and angular errors of all targets.
     #[serde(flatten)]
     pub accuracy: PoseAccuracy,
     /// Estimates that were compared with a target.
@@ -50,17 +60,19 @@ pub struct Scores {
     /// Estimates of images or objects that are no targets. Those of images of the list are false alarms for mAP when the
     /// object is a target elsewhere; the others are left out.
     pub n_strangers: usize,
-    /// Seconds; -1 when unknown.
+    /// Seconds for an image, segmentation included; -1 when unknown.
     pub mean_time_per_image_s: f64,
     /// Time of all images divided by the number of estimates; -1 when unknown.
     pub mean_time_per_pair_s: f64,
-    /// `[tau][threshold]`, both 0.05 to 0.5.
+    /// Recall of VSD, `[tau][threshold]`, both 0.05 to 0.5.
     pub recall_vsd: [[f64; THRESHOLDS]; TAUS],
-    /// By threshold, 0.05 to 0.5 of the diameter.
+    /// Recall of MSSD by threshold, 0.05 to 0.5 of the diameter.
     pub recall_mssd: [f64; THRESHOLDS],
-    /// By threshold, 5 to 50 pixels at an image width of 640.
+    /// Recall of MSPD by threshold, 5 to 50 pixels at an image width of 640.
     pub recall_mspd: [f64; THRESHOLDS],
+    /// By object id.
     pub per_object: BTreeMap<u32, AverageRecall>,
+    /// By scene id.
     pub per_scene: BTreeMap<u32, AverageRecall>,
     /// By `visib_fract` of the target; bins without targets are left out.
     pub per_visibility: Vec<BinScore>,
@@ -130,9 +142,9 @@ pub struct EstimateCounts {
 }
 
 impl Scores {
-    pub fn new(
+    pub(super) fn new(
         targets: &[TargetOutcome],
-        detection: PoseMap,
+        detection: PoseAveragePrecision,
         counts: EstimateCounts,
         times: MeanTimes,
     ) -> Self {
@@ -156,7 +168,7 @@ impl Scores {
     }
 
     /// Writes `scores.json`.
-    pub fn write(&self, path: &Path) -> Result<(), FormatError> {
+    pub(super) fn write(&self, path: &Path) -> Result<(), FormatError> {
         write_json(path, self, true)
     }
 }

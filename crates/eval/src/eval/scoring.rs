@@ -14,15 +14,19 @@ use unopose_dataset::formats::{
 };
 
 use super::{
-    EstimateCounts, EvalError, EvalObject, MeanTimes, PoseMap, RotationBins, Scores, TargetOutcome,
+    EvalError, EvalObject, PoseAveragePrecision, Scores, TargetOutcome,
+    bins::RotationBins,
     options::ScoreOptions,
     scored_image::{Image, ScoredImage},
+    scores::{EstimateCounts, MeanTimes},
 };
 
 /// Scores of a set of results, with the outcome of every target in the order of the targets.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
+    /// Recalls, accuracies and times over all targets.
     pub scores: Scores,
+    /// One outcome per target instance.
     pub targets: Vec<TargetOutcome>,
 }
 
@@ -81,8 +85,8 @@ pub fn score_files(
     score_results(&dataset, &split, &targets, &results, &options)
 }
 
-/// Scores results. Average recalls leave out results of objects or images that are no targets.
-pub fn score_results(
+/// Scores results in memory. Average recalls leave out results of objects or images that are no targets.
+pub(super) fn score_results(
     dataset: &BopDataset,
     split: &BopSplit,
     targets: &[Target],
@@ -120,7 +124,7 @@ pub fn score_results(
     let counts = EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers };
     let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
     let (targets, ranked) = (targets.concat(), ranked.concat());
-    let scores = Scores::new(&targets, PoseMap::new(&ranked), counts, mean_times(results));
+    let scores = Scores::new(&targets, PoseAveragePrecision::new(&ranked), counts, mean_times(results));
     Ok(Evaluation { scores, targets })
 }
 

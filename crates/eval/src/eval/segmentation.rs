@@ -6,20 +6,26 @@ use rayon::prelude::*;
 use serde::Serialize;
 use unopose_dataset::formats::{BopSplit, Foreground, Target, detections::Detection, files::write_json};
 
-use super::{CocoScores, EvalError, RegionKind, coco_detections, coco_ground_truth, coco_map};
+use super::{
+    EvalError,
+    coco::{CocoScores, RegionKind, coco_scores},
+};
 
 /// Targets less visible than this do not count for the recall of proposals.
 const MIN_TARGET_VISIBILITY: f64 = 0.3;
 
 /// What `scores.json` of a segmentation holds.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct SegmentationScores {
-    /// Of the detections.
+    /// COCO's mean average precision of the detections' masks.
     #[serde(rename = "mAP")]
     pub map: f64,
-    /// Share of the targets with a visible share of 0.3 or more that some proposal covers at that overlap.
+    /// Share of the targets with a visible share of 0.3 or more that some proposal covers with an overlap (IoU) of 0.5.
     pub recall50: f64,
+    /// The same with an overlap of 0.75.
     pub recall75: f64,
+    /// Mean number of proposals, before they are matched with the references.
     pub proposals_per_image: f64,
     /// Seconds, proposals and matching.
     pub mean_time_per_image_s: f64,
@@ -27,10 +33,12 @@ pub struct SegmentationScores {
     pub mean_proposal_time_per_image_s: f64,
     /// Targets that the recall counts.
     pub n_targets: usize,
+    /// All scores of the detections' masks.
     pub detections: CocoScores,
 }
 
 impl SegmentationScores {
+    /// Writes them as JSON to `path`.
     pub fn write(&self, path: &Path) -> Result<(), EvalError> {
         Ok(write_json(path, self, true)?)
     }
@@ -45,8 +53,7 @@ pub fn score_segmentation(
     proposals: &[Detection],
     [seconds, proposal_seconds]: [&[f64]; 2],
 ) -> Result<SegmentationScores, EvalError> {
-    let truth = coco_ground_truth(split, targets, RegionKind::Mask)?;
-    let scores = coco_map(&truth, &coco_detections(detections, RegionKind::Mask)?);
+    let scores = coco_scores(split, targets, detections, "detections", RegionKind::Mask)?;
     let mut by_image: BTreeMap<(u32, u32), Vec<Foreground>> = BTreeMap::new();
     for proposal in proposals {
         let image = by_image.entry((proposal.scene_id, proposal.image_id)).or_default();

@@ -20,7 +20,10 @@ use unopose_dataset::{
     mesh::{TriangleMesh, ply},
 };
 
-use super::*;
+use super::{
+    pose_error::{add, add_s, mspd, mssd, rotation_error_deg},
+    *,
+};
 
 const DIAMETER: f64 = 0.282_842_712_474_619;
 
@@ -211,11 +214,11 @@ fn a_symmetric_turn_is_no_error() {
 }
 
 #[test]
-fn credit_counts_thresholds_of_all_three_errors() {
+fn the_average_recall_counts_thresholds_of_all_three_errors() {
     let mut vsd = [1.0; TAUS];
     vsd[0] = 0.0;
     // VSD: one tolerance of ten at all thresholds; MSSD 12 % of the diameter: 8 of 10; MSPD 3 px of 320: 9 of 10.
     let errors =
         PoseErrors { vsd, mssd: 0.012, mspd: 3.0, add: 0.0, add_s: 0.0, rotation_deg: 0.0, translation: 0.0 };
-    assert!((errors.credit(0.1, 320) - (0.1 + 0.8 + 0.9) / 3.0).abs() < 1e-12);
+    assert!((errors.average_recall(0.1, 320) - (0.1 + 0.8 + 0.9) / 3.0).abs() < 1e-12);
 }

@@ -13,7 +13,9 @@ use super::{TAUS, object::EvalObject};
 /// The measured side of the comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct TestView<'a> {
+    /// Measured depth; 0 where there is no measurement, which counts as visible.
     pub depth: &'a DepthMap,
+    /// Intrinsics of the depth image.
     pub camera: &'a Intrinsics,
     /// How far behind the measured surface a pixel still counts as visible, metres.
     pub delta: f64,

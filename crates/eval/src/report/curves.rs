@@ -10,6 +10,7 @@ use super::ReportError;
 /// A line of a panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
+    /// Name in the legend.
     pub label: String,
     /// Position along the horizontal axis and value; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
@@ -20,7 +21,9 @@ pub struct Curve {
 /// A plot with its own vertical axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Panel {
+    /// Caption above the plot.
     pub title: String,
+    /// In the order of the legend, which gives them their colours.
     pub curves: Vec<Curve>,
     /// Fixed vertical range; without one it is that of the values.
     pub range: Option<(f64, f64)>,

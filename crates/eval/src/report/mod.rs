@@ -1,4 +1,4 @@
-//! Figures and tables: training curves (SVG), poses drawn onto images (PNG), text tables, error messages.
+//! Figures and tables: curves over training steps (SVG), poses and masks drawn onto images (PNG), text tables.
 
 mod curves;
 mod error;

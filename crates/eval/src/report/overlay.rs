@@ -26,7 +26,7 @@ const MASK_COLORS: [Rgb<u8>; 8] = [
 ];
 
 /// Draws `points` (metres, reference camera) moved by `t_query_reference`, each mixed half with what is below it.
-pub fn draw_points(
+fn draw_points(
     image: &mut RgbImage,
     camera: &Intrinsics,
     t_query_reference: &Pose,
@@ -46,7 +46,7 @@ pub fn draw_points(
 
 /// Draws the reference camera's axes (red x, green y, blue z; `length` metres) at the mean of `points`, moved by
 /// `t_query_reference`.
-pub fn draw_axes(
+fn draw_axes(
     image: &mut RgbImage,
     camera: &Intrinsics,
     t_query_reference: &Pose,
@@ -183,15 +183,16 @@ fn clip(
     let direction = to - from;
     let (mut enter, mut leave) = (0.0f64, 1.0f64);
     for (axis, size) in [(0, width), (1, height)] {
-        for (slope, room) in [(-direction[axis], from[axis] + 1.0), (direction[axis], size - from[axis])] {
+        for (slope, distance) in [(-direction[axis], from[axis] + 1.0), (direction[axis], size - from[axis])]
+        {
             if slope == 0.0 {
-                if room < 0.0 {
+                if distance < 0.0 {
                     return None;
                 }
             } else if slope < 0.0 {
-                enter = enter.max(room / slope);
+                enter = enter.max(distance / slope);
             } else {
-                leave = leave.min(room / slope);
+                leave = leave.min(distance / slope);
             }
         }
     }

@@ -10,6 +10,7 @@ pub struct Table {
 }
 
 impl Table {
+    /// A table without rows.
     pub fn new<S: Into<String>>(headers: impl IntoIterator<Item = S>) -> Self {
         Self { headers: headers.into_iter().map(Into::into).collect(), rows: Vec::new() }
     }

@@ -15,16 +15,16 @@ use super::{
     DataError,
     dilation::dilated,
     frame_cache::CachedInstance,
-    selection::{Selection, ViewRules, select_query, select_reference},
+    selection::{SampledView, SelectionOptions, select_query, select_reference},
 };
 
 /// Fewest query points in training.
 const MIN_POINTS: usize = 32;
 
 /// A sampled pair, metres.
-pub struct Augmented {
-    pub query: Selection,
-    pub reference: Selection,
+pub struct AugmentedPair {
+    pub query: SampledView,
+    pub reference: SampledView,
     /// Of the reference, metres.
     pub radius: f32,
     /// Reference to query.
@@ -32,7 +32,7 @@ pub struct Augmented {
 }
 
 /// Samples the views [query, reference] that `pose` relates; with `augment` also changes them.
-pub fn augmented_views(
+pub fn augmented_pair(
     [query_frame, reference_frame]: [&RgbdFrame; 2],
     [query, reference]: [&CachedInstance; 2],
     pose: Pose,
@@ -40,24 +40,24 @@ pub fn augmented_views(
     model: &ModelConfig,
     augment: bool,
     rng: &mut ChaCha8Rng,
-) -> Result<Augmented, DataError> {
+) -> Result<AugmentedPair, DataError> {
     let config = &data.augmentation;
     let keep_zero_depth = model.quirks.keep_zero_depth;
-    let rules = |rng: &mut ChaCha8Rng| {
+    let options = |rng: &mut ChaCha8Rng| {
         let changed = augment && rng.random_bool(config.color_probability);
-        let recolor = changed.then(|| ChaCha8Rng::seed_from_u64(rng.random()));
-        ViewRules { keep_zero_depth, min_points: MIN_POINTS, recolor }
+        let color_augmentation = changed.then(|| ChaCha8Rng::seed_from_u64(rng.random()));
+        SelectionOptions { keep_zero_depth, min_points: MIN_POINTS, color_augmentation }
     };
 
-    let reference_rules = rules(rng);
+    let reference_options = options(rng);
     let (mut reference, radius) =
-        select_reference(reference_frame, &reference.mask(), model, reference_rules, rng)?;
+        select_reference(reference_frame, &reference.mask(), model, reference_options, rng)?;
     let mut mask = query.mask();
     if augment && rng.random_bool(config.dilation_probability) {
         mask = dilated(&mask, config.dilation_iterations);
     }
-    let query_rules = rules(rng);
-    let mut query = select_query(query_frame, &mask, radius, model, query_rules, rng)?;
+    let query_options = options(rng);
+    let mut query = select_query(query_frame, &mask, radius, model, query_options, rng)?;
 
     let mut pose = pose;
     if augment {
@@ -67,7 +67,7 @@ pub fn augmented_views(
         }
         shift_query(&mut query.points, &mut pose, config, rng);
     }
-    Ok(Augmented { query, reference, radius, pose })
+    Ok(AugmentedPair { query, reference, radius, pose })
 }
 
 /// Uniform on SO(3), or (quirk) Rx Ry Rz of three uniform angles.

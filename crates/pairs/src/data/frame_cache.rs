@@ -21,11 +21,11 @@ pub struct CachedFrame {
 pub struct CachedInstance {
     pub obj_id: u32,
     pub t_camera_object: Pose,
-    mask: CutMask,
+    mask: CroppedMask,
 }
 
-/// A mask inside its tight box; `None` for an empty mask.
-struct CutMask {
+/// A mask cropped to its tight box; `None` for an empty mask.
+struct CroppedMask {
     width: u32,
     height: u32,
     inside: Option<(BoundingBox, Vec<bool>)>,
@@ -34,11 +34,11 @@ struct CutMask {
 /// Cache of frames by image number.
 pub struct FrameCache {
     budget: usize,
-    held: Mutex<Held>,
+    state: Mutex<CacheState>,
 }
 
 #[derive(Default)]
-struct Held {
+struct CacheState {
     bytes: usize,
     frames: HashMap<u32, Arc<CachedFrame>>,
     order: VecDeque<u32>,
@@ -47,7 +47,7 @@ struct Held {
 impl FrameCache {
     /// `budget` in bytes; 0 keeps nothing.
     pub fn new(budget: usize) -> Self {
-        Self { budget, held: Mutex::default() }
+        Self { budget, state: Mutex::default() }
     }
 
     /// The frame of `image`, from memory or by `load`.
@@ -62,21 +62,23 @@ impl FrameCache {
         // Decoded outside the lock; two threads may decode the same image, which is rare and harmless.
         let frame = Arc::new(CachedFrame::new(load()?));
         let bytes = frame.bytes();
-        let mut held = self.lock();
-        if bytes <= self.budget && !held.frames.contains_key(&image) {
-            while held.bytes + bytes > self.budget {
-                let Some(oldest) = held.order.pop_front().and_then(|i| held.frames.remove(&i)) else { break };
-                held.bytes -= oldest.bytes();
+        let mut state = self.lock();
+        if bytes <= self.budget && !state.frames.contains_key(&image) {
+            while state.bytes + bytes > self.budget {
+                let Some(oldest) = state.order.pop_front().and_then(|i| state.frames.remove(&i)) else {
+                    break;
+                };
+                state.bytes -= oldest.bytes();
             }
-            held.bytes += bytes;
-            held.frames.insert(image, frame.clone());
-            held.order.push_back(image);
+            state.bytes += bytes;
+            state.frames.insert(image, frame.clone());
+            state.order.push_back(image);
         }
         Ok(frame)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Held> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> std::sync::MutexGuard<'_, CacheState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -88,7 +90,7 @@ impl CachedFrame {
             .map(|i| CachedInstance {
                 obj_id: i.obj_id,
                 t_camera_object: i.t_camera_object,
-                mask: CutMask::new(&i.mask_visib),
+                mask: CroppedMask::new(&i.mask_visib),
             })
             .collect();
         Self { frame: annotated.frame, instances }
@@ -108,7 +110,7 @@ impl CachedInstance {
     }
 }
 
-impl CutMask {
+impl CroppedMask {
     fn new(mask: &Mask) -> Self {
         let inside = mask.bounding_box().map(|b| {
             let rows =
@@ -165,7 +167,7 @@ mod tests {
         for i in [9, 10, 18, 25] {
             mask.data[i] = true;
         }
-        assert_eq!(CutMask::new(&mask).full(), mask);
-        assert_eq!(CutMask::new(&Mask::empty(3, 2)).full(), Mask::empty(3, 2));
+        assert_eq!(CroppedMask::new(&mask).full(), mask);
+        assert_eq!(CroppedMask::new(&Mask::empty(3, 2)).full(), Mask::empty(3, 2));
     }
 }

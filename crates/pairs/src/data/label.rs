@@ -1,14 +1,18 @@
 //! The pose between two views of an object.
 
 use unopose_core::geometry::{Pose, nearest_distances};
-use unopose_dataset::formats::symmetry::ObjectSymmetries;
+use unopose_dataset::formats::ObjectSymmetries;
 
 /// Step of continuous symmetries: 315 rotations, one every 1.1 degrees.
 const SYMMETRY_STEP: f64 = 0.01;
 
 /// Reference camera to query camera. Of the poses that the object's symmetries make equivalent, the one with the
 /// smallest rotation.
-pub fn view_to_view(t_query_object: &Pose, t_reference_object: &Pose, symmetries: &ObjectSymmetries) -> Pose {
+pub fn relative_pose(
+    t_query_object: &Pose,
+    t_reference_object: &Pose,
+    symmetries: &ObjectSymmetries,
+) -> Pose {
     let t_object_reference = t_reference_object.inverse();
     let plain = *t_query_object * t_object_reference;
     if symmetries.is_empty() {
@@ -38,7 +42,7 @@ pub fn overlap_share(
 #[cfg(test)]
 mod tests {
     use nalgebra::{Matrix3, Rotation3, Vector3};
-    use unopose_dataset::formats::symmetry::SymmetryAxis;
+    use unopose_dataset::formats::SymmetryAxis;
 
     use super::*;
 
@@ -51,7 +55,7 @@ mod tests {
         let (query, reference) = (about_z(170.0), about_z(10.0));
         let half_turn = Pose::new(Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0)), Vector3::zeros());
         let angle = |symmetries: &ObjectSymmetries| {
-            view_to_view(&query, &reference, symmetries).rotation_angle_deg(&Pose::identity())
+            relative_pose(&query, &reference, symmetries).rotation_angle_deg(&Pose::identity())
         };
         assert!((angle(&ObjectSymmetries::default()) - 160.0).abs() < 1e-9);
         let discrete = ObjectSymmetries { discrete: vec![half_turn], continuous: vec![] };
@@ -60,7 +64,7 @@ mod tests {
         let round = ObjectSymmetries { discrete: vec![], continuous: vec![axis] };
         assert!(angle(&round) < 0.6);
         // The object's origin stays where it is seen.
-        let label = view_to_view(&query, &reference, &round);
+        let label = relative_pose(&query, &reference, &round);
         let origin = label.transform(&nalgebra::Point3::from(reference.translation));
         assert!((origin.coords - query.translation).norm() < 1e-12);
     }

@@ -16,11 +16,11 @@ mod prepare;
 mod selection;
 mod stream;
 
-pub use crop::{CropBox, imagenet_normalised};
+pub use crop::imagenet_normalised;
 pub use error::DataError;
-pub use label::{overlap_share, view_to_view};
+pub use label::overlap_share;
 pub use pairs::{FrameSource, PairKey, PairSampler, TrainSample};
-pub use pose_noise::{PoseNoise, draw_rotation_std};
+pub use pose_noise::PoseNoise;
 pub use prepare::{
     CloudInput, PreparedReference, metric_pose, normalised_pose, positional_groups, prepare_query,
     prepare_reference, query_from_points, reference_from_points,

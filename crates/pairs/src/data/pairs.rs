@@ -12,16 +12,15 @@ use unopose_core::{
     geometry::{BallGroups, Pose},
 };
 use unopose_dataset::formats::{
-    AnnotatedFrame, FormatError,
+    AnnotatedFrame, FormatError, ObjectSymmetries,
     megapose::{InstanceRef, ShardDataset},
-    symmetry::ObjectSymmetries,
 };
 
 use super::{
     CloudInput, DataError, PreparedReference,
-    augmentation::{Augmented, augmented_views},
+    augmentation::{AugmentedPair, augmented_pair},
     frame_cache::{CachedFrame, CachedInstance, FrameCache},
-    label::{overlap_share, view_to_view},
+    label::{overlap_share, relative_pose},
     normalised_pose,
     pose_noise::{PoseNoise, draw_rotation_std},
     positional_groups, query_from_points, reference_from_points,
@@ -39,7 +38,9 @@ const NOISE_STREAM: u64 = 1 << 63;
 /// One prepared training pair.
 #[derive(Clone, Debug)]
 pub struct TrainSample {
+    /// The query view; its dense points are in radii of the reference.
     pub query: CloudInput,
+    /// The reference view with its neighbourhoods.
     pub reference: PreparedReference,
     /// Between the normalised matching frames: q = R p + t.
     pub t_query_reference: Pose,
@@ -47,6 +48,7 @@ pub struct TrainSample {
     pub t_init: Pose,
     /// Neighbourhoods of the query points moved by the inverse of `t_init`.
     pub query_groups: [BallGroups; 2],
+    /// The instances that make the pair.
     pub key: PairKey,
 }
 
@@ -55,19 +57,27 @@ pub struct TrainSample {
 pub struct PairKey {
     /// Sample number.
     pub index: u64,
+    /// Object that both views show.
     pub obj_id: u32,
+    /// Number of the query's image in the dataset.
     pub query_image: u32,
+    /// Index of the query in its image's annotation.
     pub query_instance: u32,
+    /// Number of the reference's image in the dataset.
     pub reference_image: u32,
+    /// Index of the reference in its image's annotation.
     pub reference_instance: u32,
 }
 
 /// Annotated images with an index of their instances.
 pub trait FrameSource: Send + Sync {
+    /// All instances that may be a query or a reference.
     fn instances(&self) -> &[InstanceRef];
     /// Indices into [`Self::instances`] of the views of an object that may serve as reference.
     fn references(&self, obj_id: u32) -> &[usize];
+    /// Reads and decodes an image by its number in the dataset.
     fn load(&self, image: u32) -> Result<AnnotatedFrame, FormatError>;
+    /// Symmetries of an object; none for an unknown one.
     fn symmetries(&self, obj_id: u32) -> &ObjectSymmetries;
 }
 
@@ -198,7 +208,7 @@ impl PairSampler {
                 reference_instance: reference.instance,
             };
             let frames = [&query_frame.frame, &reference_frame.frame];
-            match augmented_views(frames, views, pose, &self.data, &self.model, augment, rng) {
+            match augmented_pair(frames, views, pose, &self.data, &self.model, augment, rng) {
                 Ok(pair) if self.overlaps(&pair) => return Ok(self.prepare(pair, key, rng)),
                 Ok(_) => {}
                 Err(error) => problem = error,
@@ -216,18 +226,18 @@ impl PairSampler {
         let none = ObjectSymmetries::default();
         let ignored = self.model.quirks.same_image_reference;
         let symmetries = if ignored { &none } else { self.source.symmetries(obj_id) };
-        view_to_view(&query.t_camera_object, &reference.t_camera_object, symmetries)
+        relative_pose(&query.t_camera_object, &reference.t_camera_object, symmetries)
     }
 
-    fn overlaps(&self, pair: &Augmented) -> bool {
+    fn overlaps(&self, pair: &AugmentedPair) -> bool {
         let needed = self.data.min_overlap;
         let within = self.data.overlap_distance * pair.radius;
         needed <= 0.0
             || overlap_share(&pair.query.points, &pair.reference.points, &pair.pose, within) >= needed
     }
 
-    fn prepare(&self, pair: Augmented, key: PairKey, rng: &mut ChaCha8Rng) -> TrainSample {
-        let Augmented { query, reference, pose, .. } = pair;
+    fn prepare(&self, pair: AugmentedPair, key: PairKey, rng: &mut ChaCha8Rng) -> TrainSample {
+        let AugmentedPair { query, reference, pose, .. } = pair;
         let reference =
             reference_from_points(&reference.points, &reference.choose, reference.rgb, &self.model);
         let query = query_from_points(&query.points, &query.choose, query.rgb, reference.radius, &self.model);

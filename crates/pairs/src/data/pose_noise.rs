@@ -21,7 +21,7 @@ pub fn draw_rotation_std(config: &PoseNoiseConfig, rng: &mut impl Rng) -> f64 {
 
 impl PoseNoise {
     /// Per-axis normal draws.
-    pub fn draw(config: &PoseNoiseConfig, rotation_std_deg: f64, rng: &mut impl Rng) -> Self {
+    pub(super) fn draw(config: &PoseNoiseConfig, rotation_std_deg: f64, rng: &mut impl Rng) -> Self {
         let mut normal = |std: f64| -> f64 {
             let unit: f64 = StandardNormal.sample(rng);
             unit * std

@@ -13,7 +13,7 @@ use unopose_core::{
 
 use super::{
     DataError,
-    selection::{Selection, ViewRules, select_query, select_reference},
+    selection::{SampledView, SelectionOptions, select_query, select_reference},
 };
 
 /// Fewest query points at inference.
@@ -39,10 +39,11 @@ pub struct CloudInput {
 /// A reference view, prepared once for all its queries.
 #[derive(Clone, Debug)]
 pub struct PreparedReference {
+    /// The view as the network takes it.
     pub cloud: CloudInput,
     /// Largest distance of the sampled reference points to their mean, metres.
     pub radius: f32,
-    /// Neighbourhoods of the dense points.
+    /// Neighbourhoods of the dense points at both scales of the positional encoding.
     pub groups: [BallGroups; 2],
 }
 
@@ -53,9 +54,12 @@ pub fn prepare_reference(
     config: &ModelConfig,
     rng: &mut impl Rng,
 ) -> Result<PreparedReference, DataError> {
-    let rules =
-        ViewRules { keep_zero_depth: config.quirks.keep_zero_depth, min_points: MIN_POINTS, recolor: None };
-    let (selection, _) = select_reference(frame, mask, config, rules, rng)?;
+    let options = SelectionOptions {
+        keep_zero_depth: config.quirks.keep_zero_depth,
+        min_points: MIN_POINTS,
+        color_augmentation: None,
+    };
+    let (selection, _) = select_reference(frame, mask, config, options, rng)?;
     Ok(reference_from_points(&selection.points, &selection.choose, selection.rgb, config))
 }
 
@@ -67,8 +71,9 @@ pub fn prepare_query(
     config: &ModelConfig,
     rng: &mut impl Rng,
 ) -> Result<CloudInput, DataError> {
-    let rules = ViewRules { keep_zero_depth: false, min_points: MIN_POINTS, recolor: None };
-    let Selection { points, choose, rgb } = select_query(frame, mask, radius, config, rules, rng)?;
+    let options =
+        SelectionOptions { keep_zero_depth: false, min_points: MIN_POINTS, color_augmentation: None };
+    let SampledView { points, choose, rgb } = select_query(frame, mask, radius, config, options, rng)?;
     Ok(query_from_points(&points, &choose, rgb, radius, config))
 }
 

@@ -11,7 +11,7 @@ use unopose_core::{
 
 use super::{
     DataError,
-    color::recolor,
+    color::augment_color,
     crop::{CropBox, normalised_resize},
 };
 
@@ -22,11 +22,11 @@ pub const MAX_RADIUS: f32 = 5.0;
 /// An object needs more masked pixels than this.
 const MIN_PIXELS: usize = 8;
 /// Query points farther from their mean than this many reference radii are dropped.
-const QUERY_REACH: f64 = 1.2;
+const MAX_QUERY_RADII: f64 = 1.2;
 
 /// Points sampled from a masked view, metres, camera frame.
 #[derive(Clone, Debug)]
-pub struct Selection {
+pub struct SampledView {
     pub points: Vec<[f32; 3]>,
     /// Index of every point in the `size x size` crop.
     pub choose: Vec<u32>,
@@ -34,21 +34,21 @@ pub struct Selection {
     pub rgb: Vec<f32>,
 }
 
-/// A masked view before sampling.
-struct MaskedView {
+/// A masked and cropped view before sampling.
+struct CroppedView {
     points: Vec<[f32; 3]>,
     choose: Vec<u32>,
     rgb: Vec<f32>,
 }
 
-/// How a view's pixels are taken.
-pub struct ViewRules {
+/// How pixels are selected.
+pub struct SelectionOptions {
     /// Masked pixels without depth become the point (0, 0, 0) (quirk).
     pub keep_zero_depth: bool,
     /// Fewest points that may remain.
     pub min_points: usize,
     /// Stream of the colour changes before masking; `None` leaves the colours.
-    pub recolor: Option<ChaCha8Rng>,
+    pub color_augmentation: Option<ChaCha8Rng>,
 }
 
 /// Samples `config.reference_points` points of a reference view; also returns their radius.
@@ -56,10 +56,10 @@ pub fn select_reference(
     frame: &RgbdFrame,
     mask: &Mask,
     config: &ModelConfig,
-    rules: ViewRules,
+    options: SelectionOptions,
     rng: &mut impl Rng,
-) -> Result<(Selection, f32), DataError> {
-    let view = masked_view(frame, mask, config.image_size, rules)?;
+) -> Result<(SampledView, f32), DataError> {
+    let view = masked_view(frame, mask, config.image_size, options)?;
     let kept = near_the_median(&view.points, config.reference_reach as f64);
     let selection = sample(view, &kept, config.reference_points, rng);
     let (_, radius) = radius_about_mean(&selection.points);
@@ -73,13 +73,13 @@ pub fn select_query(
     mask: &Mask,
     radius: f32,
     config: &ModelConfig,
-    rules: ViewRules,
+    options: SelectionOptions,
     rng: &mut impl Rng,
-) -> Result<Selection, DataError> {
+) -> Result<SampledView, DataError> {
     check_radius(radius)?;
-    let minimum = rules.min_points;
-    let view = masked_view(frame, mask, config.image_size, rules)?;
-    let limit = QUERY_REACH * radius as f64;
+    let minimum = options.min_points;
+    let view = masked_view(frame, mask, config.image_size, options)?;
+    let limit = MAX_QUERY_RADII * radius as f64;
     let (mean, _) = radius_about_mean(&view.points);
     let kept: Vec<u32> = view
         .points
@@ -123,8 +123,8 @@ fn masked_view(
     frame: &RgbdFrame,
     mask: &Mask,
     size: usize,
-    rules: ViewRules,
-) -> Result<MaskedView, DataError> {
+    options: SelectionOptions,
+) -> Result<CroppedView, DataError> {
     let (width, height) = (frame.width(), frame.height());
     for (what, found_width, found_height) in
         [("the mask", mask.width, mask.height), ("the depth image", frame.depth.width, frame.depth.height)]
@@ -136,7 +136,7 @@ fn masked_view(
     let measured = |depth: f32| depth.is_finite() && depth > 0.0;
     let usable: Vec<(u32, u32)> = mask
         .pixels()
-        .filter(|&(col, row)| rules.keep_zero_depth || measured(frame.depth.get(col, row)))
+        .filter(|&(col, row)| options.keep_zero_depth || measured(frame.depth.get(col, row)))
         .collect();
     if usable.is_empty() {
         let masked = mask.count();
@@ -150,8 +150,8 @@ fn masked_view(
     }
 
     let mut image = crop.cut(&frame.rgb);
-    if let Some(mut stream) = rules.recolor {
-        recolor(&mut image, &mut stream);
+    if let Some(mut stream) = options.color_augmentation {
+        augment_color(&mut image, &mut stream);
     }
     let mut masked = RgbImage::new(crop.side, crop.side);
     let mut points = Vec::with_capacity(inside.len());
@@ -163,7 +163,7 @@ fn masked_view(
         points.push([p.x as f32, p.y as f32, p.z as f32]);
         choose.push(crop.choose(local_row, local_col, size));
     }
-    Ok(MaskedView { points, choose, rgb: normalised_resize(&masked, size) })
+    Ok(CroppedView { points, choose, rgb: normalised_resize(&masked, size) })
 }
 
 fn tight_box(pixels: &[(u32, u32)]) -> Option<unopose_core::frame::BoundingBox> {
@@ -178,14 +178,14 @@ fn tight_box(pixels: &[(u32, u32)]) -> Option<unopose_core::frame::BoundingBox> 
 }
 
 /// `count` of the `kept` points, with replacement when there are not more than that.
-fn sample(view: MaskedView, kept: &[u32], count: usize, rng: &mut impl Rng) -> Selection {
+fn sample(view: CroppedView, kept: &[u32], count: usize, rng: &mut impl Rng) -> SampledView {
     let picks: Vec<usize> = if kept.len() <= count {
         (0..count).map(|_| rng.random_range(0..kept.len())).collect()
     } else {
         index::sample(rng, kept.len(), count).into_vec()
     };
     let chosen = || picks.iter().map(|&i| kept[i] as usize);
-    Selection {
+    SampledView {
         points: chosen().map(|i| view.points[i]).collect(),
         choose: chosen().map(|i| view.choose[i]).collect(),
         rgb: view.rgb,

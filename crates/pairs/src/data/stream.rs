@@ -24,7 +24,7 @@ struct Shared {
     /// A sample was finished.
     finished: Condvar,
     /// The window moved or the stream was dropped.
-    room: Condvar,
+    window_moved: Condvar,
 }
 
 struct State {
@@ -55,7 +55,7 @@ impl BatchStream {
                 stopped: false,
             }),
             finished: Condvar::new(),
-            room: Condvar::new(),
+            window_moved: Condvar::new(),
         });
         let workers = (0..workers.max(1))
             .map(|_| {
@@ -87,11 +87,11 @@ impl Iterator for BatchStream {
                     samples.push(sample);
                     self.next += 1;
                     state.window_end += 1;
-                    self.shared.room.notify_one();
+                    self.shared.window_moved.notify_one();
                 }
                 Some(Err(error)) => {
                     state.stopped = true;
-                    self.shared.room.notify_all();
+                    self.shared.window_moved.notify_all();
                     return Some(Err(error));
                 }
                 None => state = self.shared.finished.wait(state).unwrap_or_else(PoisonError::into_inner),
@@ -104,7 +104,7 @@ impl Iterator for BatchStream {
 impl Drop for BatchStream {
     fn drop(&mut self) {
         self.shared.lock().stopped = true;
-        self.shared.room.notify_all();
+        self.shared.window_moved.notify_all();
         for worker in self.workers.drain(..) {
             // A worker's panic was already delivered as an error.
             let _ = worker.join();
@@ -141,7 +141,7 @@ impl Shared {
                 state.claim += 1;
                 return Some(state.claim - 1);
             }
-            state = self.room.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = self.window_moved.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
     }
 }

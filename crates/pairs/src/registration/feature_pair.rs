@@ -26,14 +26,14 @@ pub struct Match {
     pub reference_normal: [f32; 3],
 }
 
-/// A pose (reference to query camera) in single precision, for counting matches.
+/// Decides in single precision which matches agree with a pose (reference to query camera).
 #[derive(Clone, Copy, Debug)]
-pub struct CountingPose {
+pub struct InlierTest {
     rows: [[f32; 3]; 3],
     shift: [f32; 3],
 }
 
-impl CountingPose {
+impl InlierTest {
     pub fn new(t_query_reference: &Pose) -> Self {
         let rows =
             std::array::from_fn(|i| std::array::from_fn(|j| t_query_reference.rotation[(i, j)] as f32));
@@ -53,8 +53,8 @@ impl CountingPose {
         dot(&turned, &matched.query_normal) > NORMAL_COSINE
     }
 
-    /// Is a match explained to `limit` metres?
-    pub fn explains(&self, matched: &Match, limit: f32) -> bool {
+    /// Does a match agree with the pose to `limit` metres?
+    pub fn is_inlier(&self, matched: &Match, limit: f32) -> bool {
         self.squared_distance(matched) < limit * limit && self.normals_agree(matched)
     }
 }
@@ -63,12 +63,12 @@ pub(super) fn dot(a: &[f32; 3], b: &[f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The thinned surfaces and the matches of their FPFH, most similar first.
+/// The downsampled surfaces and the matches of their FPFH, most similar first.
 pub struct FeaturePair {
     pub query: Surface,
     pub reference: Surface,
     pub matches: Vec<Match>,
-    /// Side of the thinning cells of both, metres.
+    /// Side of the voxel grid's cells of both, metres.
     pub cell: f32,
 }
 
@@ -102,7 +102,7 @@ impl FeaturePair {
     }
 
     /// Share of the query's points that lie on the moved reference.
-    pub fn fit(&self, t_query_reference: &Pose) -> f64 {
-        self.reference.share_of(&self.query, &t_query_reference.inverse(), FIT_CELLS * self.cell)
+    pub fn fitness(&self, t_query_reference: &Pose) -> f64 {
+        self.reference.inlier_ratio(&self.query, &t_query_reference.inverse(), FIT_CELLS * self.cell)
     }
 }

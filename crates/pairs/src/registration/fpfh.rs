@@ -11,7 +11,7 @@ use super::surface::{Surface, vector};
 /// Bins per angle.
 const BINS: usize = 11;
 /// Length of a descriptor: three angles.
-pub const FPFH_LENGTH: usize = 3 * BINS;
+const FPFH_LENGTH: usize = 3 * BINS;
 
 /// A descriptor of a point; each of the three histograms sums up to 200 (100 of the point's own neighbours, 100 of
 /// theirs).
@@ -109,10 +109,10 @@ pub fn nearest_features(a: &[Fpfh], b: &[Fpfh], count: usize) -> Vec<(usize, usi
     let (norms_a, norms_b) = (norms(a), norms(b));
     // [a, b]; |x - y|^2 = |x|^2 + |y|^2 - 2 x y
     let products = columns(a).transpose() * columns(b);
-    let mut of_a = vec![Nearest::new(count); a.len()];
+    let mut of_a = vec![NearestK::new(count); a.len()];
     let mut pairs: Vec<(f32, usize, usize)> = Vec::with_capacity(count * (a.len() + b.len()));
     for (j, column) in products.column_iter().enumerate() {
-        let mut of_b = Nearest::new(count);
+        let mut of_b = NearestK::new(count);
         for (i, &product) in column.iter().enumerate() {
             let distance = norms_a[i] + norms_b[j] - 2.0 * product;
             of_b.offer(distance, i);
@@ -128,15 +128,15 @@ pub fn nearest_features(a: &[Fpfh], b: &[Fpfh], count: usize) -> Vec<(usize, usi
     pairs.into_iter().map(|(_, i, j)| (i, j)).collect()
 }
 
-/// The nearest so many, unsorted.
+/// The `count` nearest, unsorted.
 #[derive(Clone)]
-struct Nearest {
+struct NearestK {
     kept: Vec<(f32, usize)>,
     count: usize,
     worst: f32,
 }
 
-impl Nearest {
+impl NearestK {
     fn new(count: usize) -> Self {
         Self { kept: Vec::with_capacity(count), count, worst: f32::INFINITY }
     }

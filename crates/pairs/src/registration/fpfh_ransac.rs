@@ -7,7 +7,7 @@ use unopose_core::geometry::{Pose, weighted_procrustes};
 
 use super::{
     CloudRegistration, RegistrationError,
-    feature_pair::{CountingPose, FeaturePair, Match},
+    feature_pair::{FeaturePair, InlierTest, Match},
 };
 
 /// Constants of the sampling.
@@ -17,6 +17,7 @@ pub struct FpfhRansac {
     pub cells: f64,
     /// Most similar features that every point is matched with.
     pub nearest: usize,
+    /// Most samples that are drawn.
     pub iterations: usize,
     /// Sides of a triangle of matches may differ by this factor.
     pub edge_similarity: f32,
@@ -26,6 +27,7 @@ pub struct FpfhRansac {
     pub confidence: f64,
     /// Poses with the most agreeing matches of which that with the best surface fit is taken.
     pub verified: usize,
+    /// Seed of the samples.
     pub seed: u64,
 }
 
@@ -66,20 +68,21 @@ impl CloudRegistration for FpfhRansac {
         while done < iterations {
             done += 1;
             let sample = draw_three(&pair.matches, &mut rng);
-            if !self.edges_agree(&sample) {
+            if !self.edge_lengths_agree(&sample) {
                 continue;
             }
             let pose = pose_of(&sample);
-            let counting = CountingPose::new(&pose);
-            if !sample.iter().all(|m| counting.explains(m, limit)) {
+            let test = InlierTest::new(&pose);
+            if !sample.iter().all(|m| test.is_inlier(m, limit)) {
                 continue;
             }
-            let inliers = pair.matches.iter().filter(|m| counting.explains(m, limit)).count();
+            let inliers = pair.matches.iter().filter(|m| test.is_inlier(m, limit)).count();
             if inliers >= MIN_INLIERS
                 && (best.len() < self.verified || best.last().is_some_and(|b| inliers > b.0))
             {
                 if best.first().is_none_or(|b| inliers > b.0) {
-                    iterations = iterations.min(self.enough(inliers as f64 / pair.matches.len() as f64));
+                    iterations =
+                        iterations.min(self.required_iterations(inliers as f64 / pair.matches.len() as f64));
                 }
                 let place = best.partition_point(|b| b.0 >= inliers);
                 best.insert(place, (inliers, pose));
@@ -90,7 +93,7 @@ impl CloudRegistration for FpfhRansac {
             return Err(RegistrationError::NoConsensus { inliers: 3, minimum: MIN_INLIERS });
         }
         let refitted = best.into_iter().map(|(_, pose)| refit(&pair.matches, pose, limit));
-        let scored = refitted.map(|pose| (pair.fit(&pose), pose));
+        let scored = refitted.map(|pose| (pair.fitness(&pose), pose));
         let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(fit, pose)| (pose, fit))
             .ok_or(RegistrationError::NoConsensus { inliers: 0, minimum: MIN_INLIERS })
@@ -98,7 +101,7 @@ impl CloudRegistration for FpfhRansac {
 }
 
 impl FpfhRansac {
-    fn edges_agree(&self, sample: &[Match; 3]) -> bool {
+    fn edge_lengths_agree(&self, sample: &[Match; 3]) -> bool {
         let squared = |a: [f32; 3], b: [f32; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>();
         let similarity = self.edge_similarity * self.edge_similarity;
         [(0, 1), (1, 2), (2, 0)].iter().all(|&(i, j)| {
@@ -109,7 +112,7 @@ impl FpfhRansac {
     }
 
     /// Samples after which one without outliers was met with the wanted confidence.
-    fn enough(&self, inlier_share: f64) -> usize {
+    fn required_iterations(&self, inlier_share: f64) -> usize {
         let miss = (1.0 - inlier_share.powi(3)).ln();
         if miss < 0.0 { ((1.0 - self.confidence).ln() / miss).ceil() as usize } else { usize::MAX }
     }
@@ -130,8 +133,8 @@ pub(super) fn pose_of(matches: &[Match]) -> Pose {
 /// Least squares over the agreeing matches, twice.
 pub(super) fn refit(matches: &[Match], mut pose: Pose, limit: f32) -> Pose {
     for _ in 0..2 {
-        let counting = CountingPose::new(&pose);
-        let agreeing: Vec<Match> = matches.iter().copied().filter(|m| counting.explains(m, limit)).collect();
+        let test = InlierTest::new(&pose);
+        let agreeing: Vec<Match> = matches.iter().copied().filter(|m| test.is_inlier(m, limit)).collect();
         if agreeing.len() < 3 {
             break;
         }

@@ -19,15 +19,14 @@ mod surface;
 pub use align_center::AlignCenter;
 pub use catalog::{CLASSICAL_METHODS, classical_method};
 pub use error::RegistrationError;
-pub use feature_pair::{CountingPose, FeaturePair, Match};
-pub use fpfh::{FPFH_LENGTH, Fpfh, fpfh, nearest_features};
+pub use fpfh::{Fpfh, fpfh, nearest_features};
 pub use fpfh_mac::FpfhMac;
 pub use fpfh_ransac::FpfhRansac;
 pub use icp::{IcpOutcome, IcpReference, refine};
 pub use pair::{CloudRegistration, PairEstimator, PairPose, Refined};
 pub use ppf::Ppf;
 pub use refinement::Refinement;
-pub use surface::{Neighbor, Surface};
+pub use surface::Surface;
 
 #[cfg(test)]
 mod tests;

@@ -26,14 +26,16 @@ pub trait PairEstimator: Sync {
     /// and found again by it.
     fn fingerprint(&self) -> String;
 
+    /// The pose of the object in the query view relative to the reference view.
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError>;
 }
 
 /// Registration of two clouds of points (metres, camera frames).
 pub trait CloudRegistration: Sync {
+    /// As [`PairEstimator::name`].
     fn name(&self) -> &'static str;
 
-    /// Its constants.
+    /// As [`PairEstimator::fingerprint`]: the constants and seeds.
     fn fingerprint(&self) -> String;
 
     /// Reference to query camera, and a score in [0, 1].
@@ -60,7 +62,9 @@ impl<R: CloudRegistration> PairEstimator for R {
 /// Any estimator with a local refinement after it.
 #[derive(Clone, Copy)]
 pub struct Refined<'a> {
+    /// Gives the pose that is refined.
     pub estimator: &'a dyn PairEstimator,
+    /// Applied to the masked clouds of both views.
     pub refinement: Refinement,
 }
 

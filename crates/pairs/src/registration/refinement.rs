@@ -12,6 +12,7 @@ use super::{
 /// A local refinement; it goes at most 30 mm and 15 degrees from its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Refinement {
+    /// Leaves the pose as it is.
     #[default]
     None,
     /// Point-to-plane ICP.

@@ -1,4 +1,4 @@
-//! A cloud thinned on a voxel grid, with normals and a search tree.
+//! A cloud downsampled on a voxel grid, with normals and a search tree.
 
 use std::num::NonZeroUsize;
 
@@ -11,24 +11,26 @@ use super::RegistrationError;
 
 /// Neighbours of a normal: a disc of about 2.5 cells' radius.
 const NORMAL_NEIGHBORS: NonZeroUsize = NonZeroUsize::new(20).unwrap();
-/// A point is stray when its neighbours' median distance is above this many cells.
-const STRAY_CELLS: f32 = 4.0;
+/// A point is an outlier when its neighbours' median distance is above this many cells.
+const OUTLIER_CELLS: f32 = 4.0;
 /// Eigenvalue of the normalised normal equations below which nothing but noise holds a direction.
-const OPEN_EIGENVALUE: f64 = 1e-3;
+const UNCONSTRAINED_EIGENVALUE: f64 = 1e-3;
 /// Fewest points of a surface.
-pub const MIN_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 
-/// A thinned surface in its camera's frame, metres.
+/// A downsampled surface in its camera's frame, metres.
 pub struct Surface {
+    /// Mean point of every occupied cell.
     pub points: Vec<[f32; 3]>,
     /// Unit vectors towards the camera.
-    pub normals: Vec<Vector3<f64>>,
+    pub(super) normals: Vec<Vector3<f64>>,
     tree: ImmutableKdTree<f32, 3>,
-    /// Side of the thinning cells.
-    pub cell: f32,
-    pub center: Vector3<f64>,
+    /// Side of the voxel grid's cells.
+    pub(super) cell: f32,
+    /// Mean of the points.
+    pub(super) center: Vector3<f64>,
     /// Twice the distance to the centre that 95 % of the points stay below.
-    pub extent: f64,
+    pub(super) extent: f64,
 }
 
 /// A point near another one.
@@ -42,13 +44,16 @@ impl Surface {
     /// One point per occupied cell of side `cell`. `view` names the cloud in errors.
     pub fn new(points: &[[f32; 3]], cell: f32, view: &'static str) -> Result<Self, RegistrationError> {
         let too_few = |points| RegistrationError::TooFewPoints { view, points, minimum: MIN_POINTS };
-        let thinned = thin(&finite(points), cell);
-        if thinned.len() < MIN_POINTS {
-            return Err(too_few(thinned.len()));
+        let downsampled = voxel_downsampled(&finite(points), cell);
+        if downsampled.len() < MIN_POINTS {
+            return Err(too_few(downsampled.len()));
         }
-        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&thinned);
-        let surface: Vec<_> =
-            thinned.par_iter().with_min_len(64).filter_map(|p| normal_at(p, &thinned, &tree, cell)).collect();
+        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&downsampled);
+        let surface: Vec<_> = downsampled
+            .par_iter()
+            .with_min_len(64)
+            .filter_map(|p| normal_at(p, &downsampled, &tree, cell))
+            .collect();
         let (points, normals): (Vec<[f32; 3]>, Vec<Vector3<f64>>) = surface.into_iter().unzip();
         if points.len() < MIN_POINTS {
             return Err(too_few(points.len()));
@@ -59,14 +64,14 @@ impl Surface {
     }
 
     /// With a pose to find: an error for a plane or a sphere, which three or more directions of motion map onto themselves.
-    pub fn with_pose(self) -> Result<Self, RegistrationError> {
-        let open = self.open_directions();
-        if open < 3 { Ok(self) } else { Err(RegistrationError::Degenerate { open }) }
+    pub(super) fn with_pose(self) -> Result<Self, RegistrationError> {
+        let unconstrained = self.unconstrained_directions();
+        if unconstrained < 3 { Ok(self) } else { Err(RegistrationError::Degenerate { unconstrained }) }
     }
 
     /// The same surface seen from elsewhere.
     #[cfg(test)]
-    pub fn moved(&self, motion: &Pose) -> Self {
+    pub(super) fn moved(&self, motion: &Pose) -> Self {
         let points: Vec<[f32; 3]> = self.points.iter().map(|p| motion.transform_f32(p)).collect();
         Self {
             tree: ImmutableKdTree::new_from_slice(&points),
@@ -78,13 +83,13 @@ impl Surface {
     }
 
     /// Nearest point.
-    pub fn nearest(&self, p: &[f32; 3]) -> Neighbor {
+    pub(super) fn nearest(&self, p: &[f32; 3]) -> Neighbor {
         let nearest = self.tree.nearest_one::<SquaredEuclidean>(p);
         Neighbor { index: nearest.item as usize, squared_distance: nearest.distance }
     }
 
     /// All points closer than `radius`, in no particular order.
-    pub fn within(&self, p: &[f32; 3], radius: f32) -> Vec<Neighbor> {
+    pub(super) fn within(&self, p: &[f32; 3], radius: f32) -> Vec<Neighbor> {
         let found = self.tree.within_unsorted::<SquaredEuclidean>(p, radius * radius);
         let neighbor = |n: &kiddo::NearestNeighbour<f32, u64>| Neighbor {
             index: n.item as usize,
@@ -93,19 +98,19 @@ impl Surface {
         found.iter().map(neighbor).collect()
     }
 
-    /// Directions of motion that the normals leave open: of the six, those along which all points slide on themselves. Three
+    /// Directions of motion that the normals do not constrain: of the six, those along which all points slide on themselves. Three
     /// for a plane, one for a cylinder or a body of revolution, three for a sphere.
-    pub fn open_directions(&self) -> usize {
+    fn unconstrained_directions(&self) -> usize {
         let rows = self.points.iter().zip(&self.normals).map(|(p, n)| {
             let moment = ((vector(p) - self.center) / (0.5 * self.extent)).cross(n);
             Vector6::new(moment.x, moment.y, moment.z, n.x, n.y, n.z)
         });
         let sum = rows.map(|row| row * row.transpose()).sum::<Matrix6<f64>>() / self.points.len() as f64;
-        SymmetricEigen::new(sum).eigenvalues.iter().filter(|&&value| value < OPEN_EIGENVALUE).count()
+        SymmetricEigen::new(sum).eigenvalues.iter().filter(|&&value| value < UNCONSTRAINED_EIGENVALUE).count()
     }
 
     /// Share of the points of another surface that lie closer than `distance` metres to this one once moved.
-    pub fn share_of(&self, other: &Surface, t_this_other: &Pose, distance: f32) -> f64 {
+    pub(super) fn inlier_ratio(&self, other: &Surface, t_this_other: &Pose, distance: f32) -> f64 {
         let near = |p: &&[f32; 3]| {
             self.nearest(&t_this_other.transform_f32(p)).squared_distance < distance * distance
         };
@@ -130,7 +135,7 @@ pub fn finite(points: &[[f32; 3]]) -> Vec<[f32; 3]> {
 }
 
 /// Mean point of every occupied cell, in the order of the cells.
-pub fn thin(points: &[[f32; 3]], cell: f32) -> Vec<[f32; 3]> {
+fn voxel_downsampled(points: &[[f32; 3]], cell: f32) -> Vec<[f32; 3]> {
     let mut keyed: Vec<([i32; 3], u32)> =
         points.iter().zip(0..).map(|(p, i)| (p.map(|x| (x / cell).floor() as i32), i)).collect();
     keyed.sort_unstable();
@@ -143,7 +148,7 @@ pub fn thin(points: &[[f32; 3]], cell: f32) -> Vec<[f32; 3]> {
     keyed.chunk_by(|a, b| a.0 == b.0).map(mean).collect()
 }
 
-/// The point with the direction of least spread among its neighbours, towards the camera; `None` for a stray point.
+/// The point with the direction of least variance among its neighbours, towards the camera; `None` for an outlier.
 fn normal_at(
     point: &[f32; 3],
     points: &[[f32; 3]],
@@ -151,7 +156,7 @@ fn normal_at(
     cell: f32,
 ) -> Option<([f32; 3], Vector3<f64>)> {
     let neighbors = tree.nearest_n::<SquaredEuclidean>(point, NORMAL_NEIGHBORS);
-    if neighbors.get(neighbors.len() / 2)?.distance.sqrt() > STRAY_CELLS * cell {
+    if neighbors.get(neighbors.len() / 2)?.distance.sqrt() > OUTLIER_CELLS * cell {
         return None;
     }
     let vectors = || neighbors.iter().map(|n| vector(&points[n.item as usize]));

@@ -3,11 +3,11 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use parry3d::{query::contact, shape::SharedShape};
 use unopose_core::config::SynthConfig;
-use unopose_dataset::render::Placed;
+use unopose_dataset::render::PosedMesh;
 
 use super::{super::place::Place, assets, small, views};
 
-fn lowest(object: &Placed) -> f64 {
+fn lowest(object: &PosedMesh) -> f64 {
     let height = |v: &[f32; 3]| f64::from(object.t_world_object.transform_f32(v)[2]);
     object.mesh.vertices.iter().map(height).fold(f64::MAX, f64::min)
 }
@@ -33,13 +33,13 @@ fn objects_stay_in_bins_and_on_shelves_and_out_of_each_other() {
     let config = SynthConfig { tumbling: 0.0, bins: 0.5, shelves: 0.5, ..small() };
     let assets = assets(&config);
     let all: Vec<_> = assets.objects.iter().chain(&assets.distractors).collect();
-    let shape = |placed: &Placed| {
+    let shape = |placed: &PosedMesh| {
         let object = all.iter().find(|o| std::sync::Arc::ptr_eq(&o.mesh, &placed.mesh)).unwrap();
         let parts = if object.parts.is_empty() { vec![object.hull.clone()] } else { object.parts.clone() };
         let parts = parts.iter().filter_map(|p| SharedShape::convex_hull(p));
         SharedShape::compound(parts.map(|s| (Isometry3::identity(), s)).collect())
     };
-    let isometry = |placed: &Placed| {
+    let isometry = |placed: &PosedMesh| {
         let t = &placed.t_world_object;
         let rotation = UnitQuaternion::from_matrix(&t.rotation.cast::<f32>());
         Isometry3::from_parts(Translation3::from(t.translation.cast::<f32>()), rotation)

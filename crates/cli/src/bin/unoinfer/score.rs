@@ -5,7 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::Context;
 use clap::Args;
 use unopose_dataset::formats::{
     BopDataset,
@@ -15,7 +14,7 @@ use unopose_dataset::formats::{
 };
 use unopose_eval::eval::{
     AverageRecall, CocoScores, Evaluation, Interval, RegionKind, ScoreFiles, average_recall_interval,
-    coco_detections, coco_ground_truth, coco_map, error_type_intervals, score_files,
+    coco_scores, error_type_intervals, score_files,
 };
 
 use super::progress::ProgressDisplay;
@@ -93,8 +92,7 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     let detections = read_detections(path)?;
     let mut all: BTreeMap<&str, CocoScores> = BTreeMap::new();
     for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {
-        let found = coco_detections(&detections, kind).with_context(|| path.display().to_string())?;
-        let scores = coco_map(&coco_ground_truth(&split, &targets, kind)?, &found);
+        let scores = coco_scores(&split, &targets, &detections, &path.display().to_string(), kind)?;
         println!(
             "{name}: mAP {:.4}, AP50 {:.4}, AP75 {:.4}, AR100 {:.4} ({} instances, {} ignored, {} of {} detections outside)",
             scores.map,

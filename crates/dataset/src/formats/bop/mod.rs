@@ -29,6 +29,7 @@ pub struct BopDataset {
 }
 
 impl BopDataset {
+    /// Refuses a path that is no folder; splits and models are looked up when they are asked for.
     pub fn open(root: &Path) -> Result<Self, FormatError> {
         if !root.is_dir() {
             return Err(FormatError::missing(root.display(), "dataset folder", ""));
@@ -36,6 +37,7 @@ impl BopDataset {
         Ok(Self { root: root.to_path_buf() })
     }
 
+    /// The dataset folder.
     pub fn root(&self) -> &Path {
         &self.root
     }

@@ -11,16 +11,18 @@ const MM_PER_METRE: f64 = 1000.0;
 /// Pose of one instance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GtRecord {
-    /// Row-major, model to camera.
+    /// Rotation from model to camera, row-major.
     #[serde(rename = "cam_R_m2c")]
     pub cam_r_m2c: [f64; 9],
-    /// Millimetres.
+    /// Translation from model to camera, millimetres.
     #[serde(rename = "cam_t_m2c")]
     pub cam_t_m2c: [f64; 3],
+    /// Object id, that of the model's file.
     pub obj_id: u32,
 }
 
 impl GtRecord {
+    /// From a pose in metres.
     pub fn new(obj_id: u32, t_camera_object: &Pose) -> Self {
         Self {
             cam_r_m2c: t_camera_object.rotation_row_major(),
@@ -57,6 +59,7 @@ pub struct GtInfoRecord {
     /// Pixels of the silhouette with a depth measurement.
     #[serde(default)]
     pub px_count_valid: u32,
+    /// Visible pixels of the silhouette.
     pub px_count_visib: u32,
     /// `px_count_visib / px_count_all`.
     pub visib_fract: f64,

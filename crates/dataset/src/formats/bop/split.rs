@@ -36,7 +36,9 @@ pub struct BopSplit {
 /// The parsed annotation of a scene, by image id.
 #[derive(Debug)]
 pub struct BopScene {
+    /// Number of the scene, that of its folder.
     pub id: u32,
+    /// `<split>/SSSSSS`.
     pub folder: PathBuf,
     cameras: BTreeMap<u32, CameraRecord>,
     gt: BTreeMap<u32, Vec<GtRecord>>,
@@ -58,6 +60,7 @@ pub(super) fn scene_folders(split: &Path) -> Result<Vec<u32>, FormatError> {
 }
 
 impl BopSplit {
+    /// Finds the scenes of a split folder; an error when there are none.
     pub fn open(folder: &Path) -> Result<Self, FormatError> {
         let scene_ids = scene_folders(folder)?;
         if scene_ids.is_empty() {
@@ -70,7 +73,7 @@ impl BopSplit {
     }
 
     /// With the scenes of another split that this one has not.
-    pub fn joined(mut self, other: Self) -> Self {
+    pub(crate) fn joined(mut self, other: Self) -> Self {
         self.name = format!("{},{}", self.name, other.name);
         for (id, place) in other.places {
             self.places.entry(id).or_insert(place);
@@ -90,7 +93,7 @@ impl BopSplit {
     }
 
     /// Does its first scene say where the objects are?
-    pub fn is_annotated(&self) -> bool {
+    pub(super) fn is_annotated(&self) -> bool {
         let first = self.places.iter().next();
         first.is_some_and(|(id, place)| place.join(format!("{id:06}/scene_gt.json")).is_file())
     }
@@ -156,6 +159,7 @@ impl BopScene {
         self.cameras.keys().copied()
     }
 
+    /// Intrinsics and depth scale of an image.
     pub fn camera(&self, im_id: u32) -> Result<Camera, FormatError> {
         let path = self.folder.join("scene_camera.json");
         match self.cameras.get(&im_id) {

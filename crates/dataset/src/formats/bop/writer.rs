@@ -21,10 +21,13 @@ use super::{
 /// An instance as the writer needs it: the visible part and the whole silhouette.
 #[derive(Clone, Debug)]
 pub struct SceneInstance {
+    /// Object id, that of the model's file.
     pub obj_id: u32,
+    /// Object to camera, metres.
     pub t_camera_object: Pose,
     /// The whole silhouette inside the image.
     pub mask: Mask,
+    /// The visible part of the silhouette.
     pub mask_visib: Mask,
     /// Pixels of the silhouette, also outside the image.
     pub px_count_all: u32,
@@ -33,8 +36,11 @@ pub struct SceneInstance {
 /// An image to be written.
 #[derive(Clone, Debug)]
 pub struct SceneImage {
+    /// Number of the image in its scene.
     pub im_id: u32,
+    /// Colour, depth (metres) and intrinsics.
     pub frame: RgbdFrame,
+    /// In the order in which they are annotated.
     pub instances: Vec<SceneInstance>,
 }
 

@@ -13,6 +13,7 @@ use super::{
 /// One shard, packed or unpacked.
 #[derive(Debug)]
 pub struct ShardFile {
+    /// Number of the shard, that in its name.
     pub number: u32,
     archive: Archive,
 }

@@ -18,14 +18,14 @@ pub(super) const REFERENCE_VISIB_FRACT: f32 = 0.8;
 pub(super) const VALID_SUFFIX: &str = "_fixed_valid_inst_ids.json";
 pub(super) const REFERENCES_SUFFIX: &str = "_fixed_obj_id_to_visib0_8_scene_im_inst_ids.json";
 
-/// Shard, key and instance of a reference as the index file lists them.
+/// Shard, image key and instance number of a reference as the index file lists them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ReferenceEntry(pub ShardName, pub String, pub u32);
+pub struct ReferenceEntry(pub(super) ShardName, pub String, pub u32);
 
 /// A shard as index files write it: a number or a name that ends in one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum ShardName {
+pub(super) enum ShardName {
     Number(u32),
     Name(String),
 }

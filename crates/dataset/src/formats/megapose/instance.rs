@@ -9,8 +9,11 @@ pub struct InstanceRef {
     pub image: u32,
     /// Position in the image's `gt.json`.
     pub instance: u32,
+    /// Object id, that of `gt.json`.
     pub obj_id: u32,
+    /// Visible share of the silhouette, 0..=1.
     pub visib_fract: f32,
+    /// Visible pixels.
     pub px_count_visib: u32,
 }
 

@@ -16,7 +16,7 @@ mod writer;
 
 pub use dataset::ShardDataset;
 pub use file::ShardFile;
-pub use index_files::{ReferenceEntry, ShardName};
+pub use index_files::ReferenceEntry;
 pub use instance::InstanceRef;
 pub use records::ImageRecords;
 pub use write_index::write_index_files;

@@ -58,11 +58,15 @@ impl MemberKind {
 /// The JSON members of one image.
 #[derive(Clone, Debug)]
 pub struct ImageRecords {
+    /// `camera.json`.
     pub camera: CameraRecord,
+    /// `gt.json`: one pose per instance.
     pub gt: Vec<GtRecord>,
+    /// `gt_info.json`: the visibility of each instance.
     pub gt_info: Vec<GtInfoRecord>,
-    /// One per instance.
+    /// `mask.json`: the whole silhouette of each instance inside the image; empty when the shard has none.
     pub mask: Vec<Rle>,
+    /// `mask_visib.json`: the visible part of each instance.
     pub mask_visib: Vec<Rle>,
 }
 

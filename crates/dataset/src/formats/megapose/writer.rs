@@ -60,6 +60,7 @@ pub struct ShardWriter {
 }
 
 impl ShardWriter {
+    /// Adds an image; the order stays.
     pub fn push(&mut self, image: EncodedImage) {
         self.images.push(image);
     }

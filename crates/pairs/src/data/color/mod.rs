@@ -28,7 +28,7 @@ const CHANGES: [(f64, Change); 13] = [
 ];
 
 /// Applies the changes that the stream draws.
-pub fn recolor(image: &mut RgbImage, rng: &mut ChaCha8Rng) {
+pub fn augment_color(image: &mut RgbImage, rng: &mut ChaCha8Rng) {
     let mut changes = CHANGES;
     changes.shuffle(rng);
     for (probability, change) in changes {

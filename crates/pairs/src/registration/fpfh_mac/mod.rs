@@ -6,7 +6,7 @@ mod graph;
 
 use super::{
     CloudRegistration, RegistrationError,
-    feature_pair::{CountingPose, FeaturePair, Match},
+    feature_pair::{FeaturePair, InlierTest, Match},
     fpfh_ransac::{pose_of, refit},
 };
 use cliques::{Limits, heaviest_cliques};
@@ -71,13 +71,13 @@ impl CloudRegistration for FpfhMac {
             return Err(RegistrationError::NoConsensus { inliers: 0, minimum: cliques::MIN_SIZE });
         };
         let pose = refit(matches, pose, limit);
-        Ok((pose, pair.fit(&pose)))
+        Ok((pose, pair.fitness(&pose)))
     }
 }
 
 /// Mean absolute error criterion (Zhang et al., section 3.4): every match that agrees counts the more the nearer it is.
 fn agreement(matches: &[Match], t_query_reference: &Pose, limit: f32) -> f32 {
-    let pose = CountingPose::new(t_query_reference);
-    let agreeing = matches.iter().filter(|m| pose.explains(m, limit));
-    agreeing.map(|m| 1.0 - pose.squared_distance(m).sqrt() / limit).sum()
+    let test = InlierTest::new(t_query_reference);
+    let agreeing = matches.iter().filter(|m| test.is_inlier(m, limit));
+    agreeing.map(|m| 1.0 - test.squared_distance(m).sqrt() / limit).sum()
 }

@@ -5,7 +5,7 @@ use unopose_core::geometry::Pose;
 
 use super::{
     super::surface::{Surface, vector},
-    motion::{MAX_SHIFT, MAX_TURN_DEG, motion},
+    motion::{MAX_ROTATION_DEG, MAX_TRANSLATION, motion},
     settings::{IcpSettings, Metric},
 };
 
@@ -34,11 +34,11 @@ pub fn iterate(
     let last = settings.last_limit.max(2.5 * f64::from(reference.cell) / reference.extent) * reference.extent;
     let mut limit = first * reference.extent;
     for _ in 0..settings.iterations {
-        let step = small_motion(query, reference, &t_reference_query, limit, scale, settings);
+        let step = gauss_newton_step(query, reference, &t_reference_query, limit, scale, settings);
         let Some(step) = step else { break };
         let moved = step * t_reference_query;
         let [shift, turn] = motion(&start.inverse(), &moved.inverse(), &reference.center);
-        if shift > MAX_SHIFT || turn > MAX_TURN_DEG {
+        if shift > MAX_TRANSLATION || turn > MAX_ROTATION_DEG {
             break;
         }
         t_reference_query = moved;
@@ -52,8 +52,8 @@ pub fn iterate(
     t_reference_query
 }
 
-/// The small motion in the reference frame that minimises the weighted distances; `None` when too few points are near.
-fn small_motion(
+/// One Gauss-Newton step: the small motion in the reference frame that minimises the weighted distances; `None` when too few points are near.
+fn gauss_newton_step(
     query: &Surface,
     reference: &Surface,
     t_reference_query: &Pose,

@@ -18,9 +18,9 @@ use unopose_core::geometry::Pose;
 
 use super::surface::{self, Surface};
 use iterate::iterate;
-use motion::{MAX_SHIFT, MAX_TURN_DEG, motion};
+use motion::{MAX_ROTATION_DEG, MAX_TRANSLATION, motion};
 use residual::residual;
-pub use settings::{IcpSettings, Metric};
+pub use settings::IcpSettings;
 
 /// Cells along the reference's extent: about 2500 points of a filled view.
 const CELLS: f64 = 70.0;
@@ -38,7 +38,7 @@ impl IcpReference {
         Some(Self { surface })
     }
 
-    /// The thinned cloud.
+    /// The downsampled cloud.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.surface.points
     }
@@ -86,7 +86,7 @@ pub fn refine_with(
     let refined = refined.inverse();
     let motion = motion(start, &refined, &reference.center);
     // Comparisons with NaN are false: nothing that is not a number is accepted.
-    let is_local = motion[0] <= MAX_SHIFT && motion[1] <= MAX_TURN_DEG;
+    let is_local = motion[0] <= MAX_TRANSLATION && motion[1] <= MAX_ROTATION_DEG;
     let is_clear = before * before > after * after * (1.0 + settings.noise / pixels.sqrt());
     let accepted = is_local && is_clear && after < settings.gain * before;
     IcpOutcome {

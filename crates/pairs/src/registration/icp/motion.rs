@@ -3,10 +3,10 @@
 use nalgebra::Vector3;
 use unopose_core::geometry::Pose;
 
-/// Largest motion of the reference's centre in a refinement, metres.
-pub const MAX_SHIFT: f64 = 0.03;
-/// Largest turn of a refinement, degrees.
-pub const MAX_TURN_DEG: f64 = 15.0;
+/// Largest translation of the reference's centre in a refinement, metres.
+pub const MAX_TRANSLATION: f64 = 0.03;
+/// Largest rotation of a refinement, degrees.
+pub const MAX_ROTATION_DEG: f64 = 15.0;
 
 /// Distance of the reference's centre, metres, and angle, degrees, between two poses.
 pub fn motion(a: &Pose, b: &Pose, center: &Vector3<f64>) -> [f64; 2] {

@@ -3,6 +3,7 @@
 /// How distances between matched points count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
+    /// Distance across the tangent plane of the reference.
     PointToPlane,
     /// Generalised ICP.
     PlaneToPlane,
@@ -11,25 +12,26 @@ pub enum Metric {
 /// Constants of the iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IcpSettings {
-    pub metric: Metric,
+    pub(super) metric: Metric,
     /// First distance limits that are tried, in extents of the reference; the best result is taken.
-    pub first_limits: [f64; 2],
+    pub(super) first_limits: [f64; 2],
     /// Last distance limit, in extents.
-    pub last_limit: f64,
+    pub(super) last_limit: f64,
     /// Factor of the limit per iteration.
-    pub shrink: f64,
-    pub iterations: usize,
+    pub(super) shrink: f64,
+    pub(super) iterations: usize,
     /// Smallest eigenvalue of the normalised normal equations of a direction that is moved in.
-    pub min_eigenvalue: f64,
+    pub(super) min_eigenvalue: f64,
     /// Share of the start's residual that the result has to be below.
-    pub gain: f64,
+    pub(super) gain: f64,
     /// By how many standard errors of a variance the squared residual has to fall: that of n pixels is known up to a share
     /// of about 1 / sqrt(n), so small objects need a clearer gain.
-    pub noise: f64,
+    pub(super) noise: f64,
 }
 
 impl IcpSettings {
-    pub const POINT_TO_PLANE: Self = Self {
+    /// Point-to-plane ICP.
+    pub(crate) const POINT_TO_PLANE: Self = Self {
         metric: Metric::PointToPlane,
         first_limits: [0.2, 0.08],
         last_limit: 0.035,
@@ -39,5 +41,6 @@ impl IcpSettings {
         gain: 0.95,
         noise: 20.0,
     };
-    pub const GENERALIZED: Self = Self { metric: Metric::PlaneToPlane, ..Self::POINT_TO_PLANE };
+    /// Generalised ICP.
+    pub(crate) const GENERALIZED: Self = Self { metric: Metric::PlaneToPlane, ..Self::POINT_TO_PLANE };
 }

@@ -58,10 +58,10 @@ fn it_stays_local_and_never_makes_it_worse() {
         let start = off(degrees, metres);
         let outcome = refine_with(&cloud, &reference, &start, &IcpSettings::POINT_TO_PLANE);
         let (_, turn) = errors(&outcome.t_query_reference, &start);
-        assert!(turn <= MAX_TURN_DEG, "{outcome:?}");
+        assert!(turn <= MAX_ROTATION_DEG, "{outcome:?}");
         let unchanged = outcome.t_query_reference == start;
         assert!(outcome.accepted || unchanged);
-        assert!(!outcome.accepted || outcome.motion[0] <= MAX_SHIFT, "{outcome:?}");
+        assert!(!outcome.accepted || outcome.motion[0] <= MAX_TRANSLATION, "{outcome:?}");
     }
     let nothing = refine_with(&[], &reference, &off(1.0, 0.001), &IcpSettings::GENERALIZED);
     assert!(!nothing.accepted);

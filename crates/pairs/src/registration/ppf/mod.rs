@@ -56,6 +56,6 @@ impl CloudRegistration for Ppf {
         let angle_deg = 360.0 / self.angles as f64;
         let pose = heaviest_cluster(poses, &reference.center, self.cluster_extent * extent, angle_deg)
             .ok_or(RegistrationError::TooFewMatches { found: 0, minimum: 1 })?;
-        Ok((pose, reference.share_of(&query, &pose.inverse(), self.fit_cells * cell)))
+        Ok((pose, reference.inlier_ratio(&query, &pose.inverse(), self.fit_cells * cell)))
     }
 }
