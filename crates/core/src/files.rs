@@ -1,4 +1,4 @@
-//! Files that are whole or absent: writing through a temporary file.
+//! Atomic writing: a file is complete or absent.
 
 use std::{
     fs::File,
@@ -16,14 +16,11 @@ pub struct FileError {
     pub source: std::io::Error,
 }
 
-/// What [`write_atomic`] hands to its closure.
-pub type AtomicWriter<'a> = BufWriter<&'a mut File>;
-
 /// Writes `path` through a temporary file in the same folder that is renamed when `write` succeeded, so that
-/// no reader and no killed process ever sees half a file. Missing folders are made.
+/// no reader ever sees half a file and no killed process leaves one. Missing folders are made.
 pub fn write_atomic(
     path: &Path,
-    write: impl FnOnce(&mut AtomicWriter) -> std::io::Result<()>,
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> std::io::Result<()>,
 ) -> Result<(), FileError> {
     let with_path = |source| FileError { path: path.to_path_buf(), source };
     let folder = match path.parent() {

@@ -1,4 +1,4 @@
-//! One line about an error.
+//! Errors with their causes in one line.
 
 use std::error::Error;
 

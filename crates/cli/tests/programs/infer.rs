@@ -283,12 +283,10 @@ fn descriptors_and_templates_are_refused_where_they_have_no_use() {
         assert!(!output.status.success() && text.contains(part), "expected {part} in: {text}");
     };
     refused("segment", &["--templates"], "--descriptor");
-    refused("eval", &["--descriptor", &weights, "--detections", "d.json"], "cannot be used with");
-    refused(
-        "bench",
-        &["--descriptor", &weights],
-        "--descriptor, --proposals and --sam-points are for --detections unoseg",
-    );
+    let for_unoseg = "--descriptor, --proposals and --sam-points are for --detections unoseg";
+    refused("eval", &["--descriptor", &weights, "--detections", "d.json"], for_unoseg);
+    refused("eval", &["--proposals", "embedded", "--detections", "gt"], for_unoseg);
+    refused("bench", &["--descriptor", &weights], for_unoseg);
     // A checkpoint of this program is no DINOv2.
     refused("segment", &["--descriptor", &weights, "--templates", "42"], "holds no DINOv2 backbone");
 }

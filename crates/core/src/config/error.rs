@@ -5,16 +5,49 @@ use std::{io, path::PathBuf};
 /// A configuration file, override or value that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// The file cannot be read.
     #[error("cannot read configuration {}: {source}", path.display())]
-    Read { path: PathBuf, source: io::Error },
+    Read {
+        /// The configuration file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// No configuration of this name is compiled in.
     #[error("no embedded configuration {name:?}, expected one of {}", super::EMBEDDED_NAMES.join(", "))]
-    Embedded { name: String },
+    Embedded {
+        /// The name that was asked for.
+        name: String,
+    },
+    /// The text is no TOML, or has an unknown key or a value of a wrong type.
     #[error("{}:{line}: {message}", path.display())]
-    Parse { path: PathBuf, line: usize, message: String },
+    Parse {
+        /// The configuration file.
+        path: PathBuf,
+        /// Line of the mistake, from 1.
+        line: usize,
+        /// The mistake, with the nearest valid key where a key is unknown.
+        message: String,
+    },
+    /// A `--set` override that cannot be applied.
     #[error("--set {text}: {message}")]
-    Override { text: String, message: String },
+    Override {
+        /// The override as it was given, `path=value`.
+        text: String,
+        /// The mistake, with the nearest valid key where a key is unknown.
+        message: String,
+    },
+    /// A value outside its range.
     #[error("configuration field {field} is {value}, expected {expected}")]
-    Range { field: String, value: String, expected: String },
+    Range {
+        /// Dotted path of the field, or of a key of the official `config.json`.
+        field: String,
+        /// The value met.
+        value: String,
+        /// The values that are allowed.
+        expected: String,
+    },
+    /// The tree has no form in TOML.
     #[error("cannot write the configuration as TOML: {0}")]
     Serialize(#[from] toml::ser::Error),
 }

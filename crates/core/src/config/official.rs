@@ -105,7 +105,7 @@ impl Config {
     }
 
     /// [`Self::load_official`] of a text; `path` is only for messages.
-    pub fn from_official_json(text: &str, path: &Path) -> Result<Self, ConfigError> {
+    fn from_official_json(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let official: OfficialConfig = serde_json::from_str(text).map_err(|error| {
             let message = error.to_string();
             let message = UnknownName::in_message(&message).map_or(message, |unknown| unknown.explain());

@@ -3,21 +3,29 @@
 /// Row-major `[height, width]` mask.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
+    /// Columns.
     pub width: u32,
+    /// Rows.
     pub height: u32,
+    /// Whether a pixel belongs to the object, `width * height` values.
     pub data: Vec<bool>,
 }
 
-/// Tight box of a mask in pixels; the maximum is exclusive.
+/// Tight box of a mask, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoundingBox {
+    /// Leftmost column.
     pub col_min: u32,
+    /// Topmost row.
     pub row_min: u32,
+    /// One more than the rightmost column.
     pub col_max: u32,
+    /// One more than the bottom row.
     pub row_max: u32,
 }
 
 impl Mask {
+    /// A mask without any set pixel.
     pub fn empty(width: u32, height: u32) -> Self {
         Self { width, height, data: vec![false; width as usize * height as usize] }
     }

@@ -11,16 +11,21 @@ use crate::geometry::Intrinsics;
 /// A registered colour and depth image pair of one camera. Both have the same size.
 #[derive(Clone, Debug)]
 pub struct RgbdFrame {
+    /// Colour, 8 bits per channel, sRGB.
     pub rgb: image::RgbImage,
+    /// Depth in metres, registered to the colour image.
     pub depth: DepthMap,
+    /// Pinhole camera of both images.
     pub intrinsics: Intrinsics,
 }
 
 impl RgbdFrame {
+    /// Columns of the colour image.
     pub fn width(&self) -> u32 {
         self.rgb.width()
     }
 
+    /// Rows of the colour image.
     pub fn height(&self) -> u32 {
         self.rgb.height()
     }
@@ -47,7 +52,9 @@ impl RgbdFrame {
 /// An object in a view.
 #[derive(Clone, Copy, Debug)]
 pub struct MaskedView<'a> {
+    /// The view, with everything around the object.
     pub frame: &'a RgbdFrame,
+    /// The object's visible pixels, as large as the frame.
     pub mask: &'a Mask,
 }
 

@@ -28,12 +28,12 @@ pub struct Assignment {
 
 impl Assignment {
     /// Number of query points.
-    pub fn queries(&self) -> usize {
+    pub(super) fn queries(&self) -> usize {
         self.rows - 1
     }
 
     /// Number of reference points.
-    pub fn references(&self) -> usize {
+    pub(super) fn references(&self) -> usize {
         self.columns - 1
     }
 
@@ -48,7 +48,7 @@ impl Assignment {
     }
 
     /// Weights of query point `i` to all reference points, `[M]`.
-    pub fn row(&self, i: usize) -> &[f32] {
+    pub(super) fn row(&self, i: usize) -> &[f32] {
         &self.weights[(i + 1) * self.columns + 1..(i + 2) * self.columns]
     }
 }

@@ -6,21 +6,45 @@ use serde::{Deserialize, Serialize};
 /// Pinhole camera without distortion. `u = fx x / z + cx`, `v = fy y / z + cy`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
+    /// Horizontal focal length, pixels.
     pub fx: f64,
+    /// Vertical focal length, pixels.
     pub fy: f64,
+    /// Column of the principal point, pixels.
     pub cx: f64,
+    /// Row of the principal point, pixels.
     pub cy: f64,
 }
 
 /// Why a 3x3 camera matrix is not a usable pinhole camera.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum IntrinsicsError {
+    /// An entry that is infinite or not a number.
     #[error("cam_K[{index}] is {value}, expected a finite number")]
-    NotFinite { index: usize, value: f64 },
+    NotFinite {
+        /// Row-major index of the entry, 0 to 8.
+        index: usize,
+        /// The value met.
+        value: f64,
+    },
+    /// A focal length of 0 or less.
     #[error("cam_K focal length {name} is {value} px, expected a number above 0")]
-    Focal { name: &'static str, value: f64 },
+    Focal {
+        /// `fx` or `fy`.
+        name: &'static str,
+        /// The value met, pixels.
+        value: f64,
+    },
+    /// An entry that a pinhole camera without skew has 0 or 1 for.
     #[error("cam_K[{index}] is {value}, expected {expected} (row-major [fx 0 cx 0 fy cy 0 0 1], no skew)")]
-    Form { index: usize, value: f64, expected: f64 },
+    Form {
+        /// Row-major index of the entry, 0 to 8.
+        index: usize,
+        /// The value met.
+        value: f64,
+        /// 0 or 1.
+        expected: f64,
+    },
 }
 
 impl Intrinsics {

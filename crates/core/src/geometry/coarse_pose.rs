@@ -33,6 +33,7 @@ pub struct CoarsePose {
 pub struct Hypothesis {
     /// Query point and reference point of each match.
     pub pairs: [(u32, u32); 3],
+    /// Reference to query in the units of the clouds.
     pub pose: Pose,
     /// Mean distance of the three matches under the pose.
     pub residual: f64,

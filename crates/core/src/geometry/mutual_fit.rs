@@ -17,6 +17,7 @@ pub struct MutualFit<'a> {
 }
 
 impl<'a> MutualFit<'a> {
+    /// From the dense points of both clouds, `[N, 3]` and `[M, 3]`, divided by the object's radius.
     pub fn new(query: &'a [[f32; 3]], reference: &'a [[f32; 3]]) -> Self {
         let (query_columns, reference_columns) = (Columns::new(query), Columns::new(reference));
         Self { query, reference, query_columns, reference_columns }

@@ -22,6 +22,7 @@ pub struct LocalFrames {
 }
 
 impl LocalFrames {
+    /// As in the official release.
     pub const RELEASE: Self = Self { counted_sign: true, count_padding: true };
 
     /// The form that a network with these quirks takes.
@@ -52,6 +53,7 @@ pub struct BallQuery {
 /// Neighbourhood features of every point for the positional encoding.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BallGroups {
+    /// Entries per point, padding included.
     pub samples: usize,
     /// `[N, samples, 6]` (`[N, samples, 3]` without local frames): offset to the neighbour in radii of the object,
     /// then its coordinates in the local frame in ball radii. Padded entries repeat the first.
@@ -191,8 +193,8 @@ pub fn nearest_match(from: &[[f32; 3]], to: &[[f32; 3]], limit: f32) -> Vec<u32>
 /// The statistic of the release's counted sign for one neighbourhood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignCount {
-    /// Neighbours behind minus those in front of the plane of the local frame (with padding, where it counts), before the sign of the
-    /// normal is chosen.
+    /// Neighbours behind minus those in front of the plane of the local frame (with padding, where it counts), before the
+    /// sign of the normal is chosen.
     pub count: i64,
     /// Neighbours so near to the counting threshold that rounding decides about them.
     pub undecided: i64,

@@ -3,18 +3,22 @@
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Rigid transform `x -> rotation * x + translation`, metres (or radii where a doc says so).
+/// Rigid transform `x -> R x + t`, metres (or object radii where a doc says so).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
+    /// Rotation matrix R.
     pub rotation: Matrix3<f64>,
+    /// Translation t.
     pub translation: Vector3<f64>,
 }
 
 impl Pose {
+    /// The pose that moves nothing.
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
+    /// From a rotation matrix, which is not checked, and a translation.
     pub fn new(rotation: Matrix3<f64>, translation: Vector3<f64>) -> Self {
         Self { rotation, translation }
     }
@@ -42,11 +46,13 @@ impl Pose {
         Self::new(rotation, -(rotation * position))
     }
 
+    /// `t_b_a` of `t_a_b`.
     pub fn inverse(&self) -> Self {
         let r = self.rotation.transpose();
         Self::new(r, -(r * self.translation))
     }
 
+    /// The point's coordinates in the target frame, `R p + t`.
     pub fn transform(&self, p: &Point3<f64>) -> Point3<f64> {
         Point3::from(self.rotation * p.coords + self.translation)
     }
@@ -65,7 +71,7 @@ impl Pose {
         2.0 * q.imag().norm().atan2(q.scalar().abs()).to_degrees()
     }
 
-    /// Distance between the two translations.
+    /// Distance between the two translations, in their unit.
     pub fn translation_distance(&self, other: &Self) -> f64 {
         (self.translation - other.translation).norm()
     }

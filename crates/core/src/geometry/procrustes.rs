@@ -6,9 +6,9 @@ use super::{Pose, svd::svd3};
 
 /// The pose that maps `src` to `dst` with the least weighted squared error.
 ///
-/// Weights strictly below `threshold` count as 0; the rest are divided by (their sum + 1e-5), so the centroids
-/// shrink by a hair, as in the release. `weights = None` stands for ones. Lists are cut to the shortest. Without any
-/// weight left the answer is the identity.
+/// Weights strictly below `threshold` count as 0; the rest are divided by (their sum + 1e-5), which moves the
+/// centroids very slightly towards the origin, as in the release. `weights = None` stands for ones. Lists are cut to the
+/// shortest. Without any weight left the answer is the identity.
 pub fn weighted_procrustes(
     src: &[[f32; 3]],
     dst: &[[f32; 3]],

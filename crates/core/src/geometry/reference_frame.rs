@@ -15,13 +15,15 @@ pub(super) const COUNTED_HEIGHT: f64 = 1e-3;
 /// The frame of a whole cloud with the quantities it came from.
 #[derive(Clone, Debug)]
 pub struct GlobalReferenceFrame {
+    /// Mean of the points, metres; origin of the frame.
     pub centroid: Vector3<f64>,
-    /// Largest distance to the centroid.
+    /// Largest distance to the centroid, metres.
     pub radius: f64,
     /// Mean of `x x^T` about the centroid.
     pub covariance: Matrix3<f64>,
     /// Of the covariance, descending.
     pub singular_values: [f64; 3],
+    /// Axes of the frame in the cloud's coordinates.
     pub axes: FrameAxes,
     /// Frame coordinates divided by the radius, one per input point.
     pub coordinates: Vec<[f32; 3]>,
@@ -30,8 +32,11 @@ pub struct GlobalReferenceFrame {
 /// Axes of a reference frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameAxes {
+    /// Unit vector along the weighted mean of the offsets in the plane.
     pub x: Vector3<f64>,
+    /// x cross z.
     pub y: Vector3<f64>,
+    /// Unit normal, the direction of least spread.
     pub z: Vector3<f64>,
     /// Points beyond 1e-3 behind minus in front of the plane, before the sign was chosen; 0 leaves the counted sign
     /// to the convention "largest component positive".
@@ -51,7 +56,7 @@ pub fn global_reference_frame(points: &[[f32; 3]], counted_sign: bool) -> Vec<[f
 }
 
 impl GlobalReferenceFrame {
-    /// Frame of `points` (metres). A cloud of one place gives coordinates 0.
+    /// Frame of `points` (metres). A cloud whose points coincide gives coordinates 0.
     pub fn new(points: &[[f32; 3]], counted_sign: bool) -> Self {
         let n = points.len().max(1) as f64;
         let centroid = points.iter().map(vector).sum::<Vector3<f64>>() / n;

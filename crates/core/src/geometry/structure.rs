@@ -8,6 +8,7 @@ use rayon::prelude::*;
 /// Inputs of the geometric structure embedding for `size` points, the background point first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StructureIndices {
+    /// Points, the background point included.
     pub size: usize,
     /// Angles per pair of points.
     pub k: usize,

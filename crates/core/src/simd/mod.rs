@@ -55,7 +55,7 @@ pub fn exp_of_negative(x: f32) -> f32 {
 
 /// Error function, absolute error below 5e-7 (Abramowitz and Stegun 7.1.26).
 #[inline(always)]
-pub fn erf(x: f32) -> f32 {
+fn erf(x: f32) -> f32 {
     let z = x.abs();
     let t = 1.0 / 0.327_591_1f32.mul_add(z, 1.0);
     let p = 1.061_405_4f32.mul_add(t, -1.453_152);

@@ -23,7 +23,7 @@ use unopose_segment::{AnyMatcher, Matcher, ProposalGenerator};
 
 use super::{
     progress::ProgressDisplay,
-    proposals::{EMBEDDED, check_sam_points, generator},
+    proposals::{EMBEDDED, FOR_UNOSEG, check_sam_points, generator},
     segment_dataset::{DatasetFiles, segment_dataset},
 };
 
@@ -82,7 +82,7 @@ pub struct BenchArguments {
     /// Refinements after every method, separated by commas: none, icp, gicp (local, at most 30 mm and 15 degrees)
     #[arg(long, value_delimiter = ',', default_value = "none")]
     refine: Vec<Refinement>,
-    /// Folder for the tables, the page and the results that a later call goes on from
+    /// Folder for the tables, the page and the results from which a later call resumes
     #[arg(long, value_name = "DIR", default_value = "bench")]
     out: PathBuf,
     /// Split of the targets [default: test, or the first that begins so]
@@ -104,7 +104,7 @@ pub struct BenchArguments {
     /// Reference frame of a sequence [default: the first]
     #[arg(long, value_name = "ID")]
     reference_frame: Option<u32>,
-    /// Every so many frames of a sequence one is a query
+    /// Use every N-th frame of a sequence as a query
     #[arg(long, value_name = "N", default_value_t = 1)]
     frame_step: usize,
     /// Weights of the network, several separated by commas [default: as for estimate]
@@ -190,7 +190,7 @@ fn detection_sources(
         }
     };
     if arguments.descriptor.is_some() || !arguments.proposals.is_empty() || arguments.sam_points.is_some() {
-        bail!("--descriptor, --proposals and --sam-points are for --detections unoseg");
+        bail!(FOR_UNOSEG);
     }
     Ok((Vec::new(), vec![given]))
 }

@@ -2,11 +2,16 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
-use unopose_dataset::protocol::{TargetFiles, TargetList};
+use anyhow::{Context, bail};
+use clap::Args;
+use unopose_bench::{DetectionSource, ListRequest};
+use unopose_dataset::{
+    formats::BopDataset,
+    protocol::{TargetFiles, TargetList},
+};
 use unopose_eval::eval::{score_poses, write_poses};
 use unopose_infer::{
-    Refinement, estimate_targets,
+    PoseEstimator, Refinement, estimate_targets,
     experiment::{ReferenceColor, untrained},
 };
 use unopose_segment::AnyMatcher;
@@ -14,16 +19,10 @@ use unopose_segment::AnyMatcher;
 use super::{
     options::EstimatorOptions,
     progress::ProgressDisplay,
-    proposals::ProposalOptions,
+    proposals::{FOR_UNOSEG, ProposalOptions},
     score,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
-
-/// Sources of masks.
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Segmentation {
-    Unoseg,
-}
 
 #[derive(Args)]
 pub struct EvalArguments {
@@ -33,20 +32,12 @@ pub struct EvalArguments {
     /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id
     #[arg(long, value_name = "JSON")]
     targets: PathBuf,
-    /// Detections: scene_id, image_id, category_id, bbox, score, time, segmentation
-    #[arg(
-        long,
-        value_name = "JSON",
-        required_unless_present = "segmentation",
-        conflicts_with = "ProposalOptions"
-    )]
-    detections: Option<PathBuf>,
-    /// Where the masks come from instead of --detections: unoseg (--proposals, matched by --descriptor or the
-    /// checkpoint); written to OUT/segmentation
-    #[arg(long, conflicts_with = "detections")]
-    segmentation: Option<Segmentation>,
-    /// DINOv2 weights by which --segmentation compares proposals with the reference [default: the checkpoint compares]
-    #[arg(long, value_name = "FILE", conflicts_with = "detections")]
+    /// Masks: gt (annotated visible masks), unoseg (found as `segment` does, by --descriptor or the checkpoint; kept in
+    /// OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    #[arg(long, value_name = "gt|unoseg|JSON")]
+    detections: DetectionSource,
+    /// DINOv2 weights by which unoseg compares proposals with the reference [default: the checkpoint compares]
+    #[arg(long, value_name = "FILE")]
     descriptor: Option<PathBuf>,
     #[command(flatten)]
     proposals: ProposalOptions,
@@ -65,10 +56,10 @@ pub struct EvalArguments {
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// Colours of the references, to measure what they contribute: keep, gray or shuffled (in random places)
+    /// Colours of the references, to measure what colour contributes: keep, gray or shuffled (pixels in random order)
     #[arg(long, value_name = "COLORS", default_value = "keep")]
     reference_color: ReferenceColor,
-    /// Draw the weights anew from the seed: what training has to beat
+    /// Random weights from the seed instead of the checkpoint's: the baseline of training
     #[arg(long)]
     untrained: bool,
     #[command(flatten)]
@@ -76,35 +67,16 @@ pub struct EvalArguments {
 }
 
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
+    let of_unoseg = arguments.descriptor.is_some() || arguments.proposals.are_given();
+    if of_unoseg && arguments.detections != DetectionSource::UnoSeg(()) {
+        bail!(FOR_UNOSEG);
+    }
     let mut estimator = arguments.estimator.estimator()?;
     if arguments.untrained {
         let seed = estimator.seed();
         estimator = untrained(estimator, seed);
     }
-    let detections = match &arguments.detections {
-        Some(path) => path.clone(),
-        None => {
-            let files = DatasetFiles {
-                dataset: arguments.dataset.clone(),
-                split: arguments.split.clone(),
-                reference_split: arguments.reference_split.clone(),
-                targets: arguments.targets.clone(),
-                limit: arguments.limit,
-                templates: None,
-            };
-            let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
-            let generator = arguments.proposals.generator(arguments.estimator.device())?;
-            segment_dataset(&files, generator.as_ref(), &matcher, &arguments.out.join("segmentation"))?.0
-        }
-    };
-    let list = TargetList::open(&TargetFiles {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: arguments.reference_split.clone(),
-        targets: arguments.targets.clone(),
-        detections,
-        limit: arguments.limit,
-    })?;
+    let list = target_list(arguments, &estimator)?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
     let progress = ProgressDisplay::new("estimating");
     let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
@@ -134,4 +106,54 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
     Ok(())
+}
+
+/// The targets with detections from the source that is asked for.
+fn target_list(arguments: &EvalArguments, estimator: &PoseEstimator) -> anyhow::Result<TargetList> {
+    let detections = match &arguments.detections {
+        DetectionSource::GroundTruth => return annotated_list(arguments),
+        DetectionSource::File(path) => path.clone(),
+        DetectionSource::UnoSeg(()) => {
+            let files = DatasetFiles {
+                dataset: arguments.dataset.clone(),
+                split: arguments.split.clone(),
+                reference_split: arguments.reference_split.clone(),
+                targets: arguments.targets.clone(),
+                limit: arguments.limit,
+                templates: None,
+            };
+            let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), estimator)?;
+            let generator = arguments.proposals.generator(arguments.estimator.device())?;
+            segment_dataset(&files, generator.as_ref(), &matcher, &arguments.out.join("segmentation"))?.0
+        }
+    };
+    Ok(TargetList::open(&TargetFiles {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: arguments.reference_split.clone(),
+        targets: arguments.targets.clone(),
+        detections,
+        limit: arguments.limit,
+    })?)
+}
+
+/// The targets with their annotated visible masks, as the benchmark takes them.
+fn annotated_list(arguments: &EvalArguments) -> anyhow::Result<TargetList> {
+    // Without a name the references come from the targets' split; the benchmark has another default.
+    let reference_split = match arguments.reference_split.as_ref().or(arguments.split.as_ref()) {
+        Some(name) => name.clone(),
+        None => BopDataset::open(&arguments.dataset)?.test_split()?.name(),
+    };
+    let request = ListRequest {
+        dataset: arguments.dataset.clone(),
+        split: arguments.split.clone(),
+        reference_split: Some(reference_split),
+        targets: Some(arguments.targets.clone()),
+        detections: DetectionSource::GroundTruth,
+        limit: arguments.limit,
+        seed: 0,
+        rendered: false,
+    };
+    let prepared = request.prepare(&[], &arguments.out)?.pop().context("no targets")?;
+    Ok(prepared.list)
 }

@@ -47,7 +47,7 @@ enum Command {
     Segment(segment::SegmentArguments),
     /// Run a network on stored inputs and compare every stored tensor of another implementation
     Verify(verify::VerifyArguments),
-    /// Say what a checkpoint is
+    /// Describe a checkpoint
     Inspect(convert::InspectArguments),
     /// Write a checkpoint in another form
     Export(convert::ExportArguments),

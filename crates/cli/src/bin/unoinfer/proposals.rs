@@ -12,6 +12,9 @@ use unopose_segment::{
 /// The source without weights.
 pub const EMBEDDED: &str = "embedded";
 
+/// Why options of UNOSeg are refused beside other sources of masks.
+pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for --detections unoseg";
+
 /// Source of the proposals in which an object is looked for.
 #[derive(Args)]
 pub struct ProposalOptions {
@@ -25,6 +28,11 @@ pub struct ProposalOptions {
 }
 
 impl ProposalOptions {
+    /// Whether any of them stands on the command line.
+    pub fn are_given(&self) -> bool {
+        self.proposals.is_some() || self.sam_points.is_some()
+    }
+
     pub fn generator(&self, device: DeviceChoice) -> anyhow::Result<Box<dyn ProposalGenerator>> {
         let source = self.proposals.as_deref().unwrap_or(EMBEDDED);
         check_sam_points(self.sam_points, &[source])?;
