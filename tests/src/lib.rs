@@ -1,5 +1,6 @@
 //! What the tests of several crates use: where files are, reference tensors, small weights in foreign formats, and rendered
 //! views with known poses.
+#![allow(missing_docs)] // Helpers of tests, not an interface.
 
 pub mod backbone_files;
 pub mod ellipsoid_views;
@@ -13,8 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// A file or folder of the shared folder. Tests that call this are ignored where the folder is absent (`build.rs`).
 pub fn shared(part: &str) -> PathBuf {
-    let folder =
-        option_env!("UNOPOSE_SHARED_FOLDER").expect("a test that needs the shared folder is not marked");
+    let Some(folder) = option_env!("UNOPOSE_SHARED_FOLDER") else {
+        panic!("a test that needs the shared folder is not marked as such");
+    };
     let path = Path::new(folder).join(part);
     assert!(path.exists(), "{} is gone; set UNOPOSE_SHARED and build the tests again", path.display());
     path

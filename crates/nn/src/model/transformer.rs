@@ -103,6 +103,7 @@ impl TransformerLayer {
 }
 
 impl GeometricTransformer {
+    /// Initial weights of both layers.
     pub fn new(width: usize, heads: usize, init: &mut Initializer) -> Self {
         let layers = [true, false].map(|relative| TransformerLayer::new(width, heads, relative, init));
         Self { layers: layers.into() }
