@@ -21,13 +21,13 @@ pub struct Arguments {
     /// of 3 to 40 cm, 3 to 12 in a scene, seen from 0.4 to 2 m.
     #[arg(long, value_enum, default_value_t = Preset::Small)]
     preset: Preset,
-    /// A configuration file whose [synth] part is used instead of a preset.
+    /// A configuration file whose `[synth]` part is used instead of a preset.
     #[arg(long, conflicts_with = "preset")]
     config: Option<PathBuf>,
-    /// Any field of the [synth] part, for example camera.distance=[0.5,1.0], bins=0.5 or mesh_size=megapose.
+    /// Any field of the `[synth]` part, for example camera.distance=[0.5,1.0], bins=0.5 or mesh_size=megapose.
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Print the [synth] part with all defaults and changes as TOML, a comment with meaning, unit and default before every
+    /// Print the `[synth]` part with all defaults and changes as TOML, a comment with meaning, unit and default before every
     /// key, and exit. The output is a file for --config.
     #[arg(long)]
     print_config: bool,
