@@ -64,15 +64,16 @@ impl ViewFiles {
 }
 
 /// The views of a folder `{rgb,depth,mask}/` by name, sorted: `rgb/NAME.png|jpg`, `depth/NAME.png|tif`, masks
-/// `mask/NAME.png` or, for several instances, `mask/NAME_*.png`. The camera is the folder's own `camera.json`, or else
-/// `camera`.
+/// `mask/NAME.png` or, for several instances, `mask/NAME_*.png`. In a folder without `mask/` no view has masks. The camera is
+/// the folder's own `camera.json`, or else `camera`.
 pub fn query_folder(folder: &Path, camera: &Path) -> Result<Vec<(String, ViewFiles)>, FormatError> {
     let own = folder.join("camera.json");
     let camera = if own.is_file() { own } else { camera.to_path_buf() };
     let colors = files_of(&folder.join("rgb"), &COLOR_EXTENSIONS)?;
     let (depths, masks) = (folder.join("depth"), folder.join("mask"));
     let depth_files = files_of(&depths, &DEPTH_EXTENSIONS)?;
-    let mask_files = files_of(&masks, &COLOR_EXTENSIONS)?;
+    let masked = masks.is_dir();
+    let mask_files = if masked { files_of(&masks, &COLOR_EXTENSIONS)? } else { Vec::new() };
     if colors.is_empty() {
         let hint = "expected rgb/NAME.png, depth/NAME.png, mask/NAME.png or mask/NAME_*.png";
         return Err(FormatError::missing(folder.display(), "colour image", hint));
@@ -91,7 +92,7 @@ pub fn query_folder(folder: &Path, camera: &Path) -> Result<Vec<(String, ViewFil
         };
         let masks_of: Vec<PathBuf> =
             mask_files.iter().filter(|(mask, _)| is_of(mask)).map(|(_, path)| path.clone()).collect();
-        if masks_of.is_empty() {
+        if masked && masks_of.is_empty() {
             let missing = format!("{name}.png or {name}_*.png");
             return Err(FormatError::missing(masks.display(), missing, ""));
         }
@@ -141,6 +142,12 @@ mod tests {
         assert_eq!(views[0].1.masks, [at("mask/a_0.png"), at("mask/a_1.png")]);
         assert_eq!((&views[1].1.masks, &views[1].1.rgb), (&vec![at("mask/a_2.png")], &at("rgb/a_2.jpg")));
         assert_eq!(views[0].1.camera, Path::new("k.json"));
+        std::fs::remove_file(at("mask/a_2.png")).unwrap();
+        let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();
+        assert!(message.contains("mask") && message.contains("a_2.png or a_2_*.png"), "{message}");
+        std::fs::remove_dir_all(at("mask")).unwrap();
+        let views = query_folder(folder.path(), Path::new("k.json")).unwrap();
+        assert!(views.len() == 2 && views.iter().all(|(_, files)| files.masks.is_empty()));
         std::fs::write(at("camera.json"), b"{}").unwrap();
         std::fs::remove_file(at("depth/a_2.png")).unwrap();
         let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();

@@ -45,7 +45,7 @@ pub struct EstimateArguments {
     #[command(flatten)]
     proposals: ProposalOptions,
     /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
-    /// when it is not --camera; results go to OUT/NAME/
+    /// when it is not --camera; without mask/ the object is found in every view; results go to OUT/NAME/
     #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
     query_dir: Option<PathBuf>,
     /// Colour image of the reference
