@@ -17,7 +17,7 @@ pub struct PairEstimate {
     pub score: f64,
     /// Coarse pose, metres.
     pub t_query_reference_coarse: Pose,
-    /// Score of the coarse hypothesis, see [`HypothesisScore`].
+    /// Score of the coarse hypothesis, see [`HypothesisScore`](unopose_core::config::HypothesisScore).
     pub coarse_score: f64,
     /// Mean predicted overlap of the query's and the reference's points.
     pub overlap: [f64; 2],

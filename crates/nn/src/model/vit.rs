@@ -143,7 +143,7 @@ impl VisionTransformer {
         }
     }
 
-    /// Rows of [`VitFeatures::pyramid`], as a list `[B * patches]`, for some patches, image by image: `[n, 4 * embed_dim]`.
+    /// Rows of `VitFeatures::pyramid`, as a list `[B * patches]`, for some patches, image by image: `[n, 4 * embed_dim]`.
     /// The last block is computed for these only.
     pub fn forward_at(&self, images: Tensor<4>, wanted: &[usize]) -> Tensor<2> {
         let (mut x, patches) = self.embed(images);

@@ -34,7 +34,7 @@ struct Arguments {
     /// default before every key, and exit.
     #[arg(long)]
     print_config: bool,
-    /// Run folder [default: runs/<name>].
+    /// Run folder [default: runs/NAME].
     #[arg(long)]
     out: Option<PathBuf>,
     /// Folder of the generated data sets.
