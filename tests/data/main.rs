@@ -1,9 +1,12 @@
-//! Files, pairs and scores.
+//! What needs no tensors: geometry, files, pairs, scores.
 
 mod architecture;
 mod config_files;
 mod eval_oracle;
 mod fixtures;
 mod formats_dev;
+mod geometry_fixtures;
+mod geometry_properties;
+mod geometry_timing;
 mod pairs;
 mod timing;

@@ -1,5 +1,5 @@
 //! Times of the geometric steps at the paper's sizes:
-//! `cargo test --release --test geometry timing -- --ignored --nocapture`.
+//! `cargo test --release --test data geometry_timing -- --ignored --nocapture`.
 
 use std::time::Instant;
 

@@ -1,6 +1,0 @@
-//! The programs as processes.
-
-mod infer;
-mod sam;
-mod train;
-mod verify;

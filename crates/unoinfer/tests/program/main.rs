@@ -1,0 +1,5 @@
+//! `unoinfer` as a process.
+
+mod infer;
+mod sam;
+mod verify;

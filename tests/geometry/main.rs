@@ -1,5 +1,0 @@
-//! Geometry on plain slices: reference tensors, invariances, timings.
-
-mod fixtures;
-mod properties;
-mod timing;
