@@ -134,8 +134,8 @@ fn the_keys_of_the_example_lie_in_the_published_shards() {
 fn real_frames_are_read() {
     let root = shared("real/kinect_tabletop");
     let camera = read_camera(&root.join("camera.json")).unwrap();
-    assert_eq!((camera.intrinsics.fx, camera.depth_scale), (1066.778, 0.1));
-    let depth = read_depth(&root.join("000001-depth.png"), camera.depth_scale).unwrap();
+    assert_eq!((camera.intrinsics.fx, camera.depth_scale), (1066.778, Some(0.1)));
+    let depth = read_depth(&root.join("000001-depth.png"), 0.1).unwrap();
     let mask = read_mask(&root.join("000001-mask-soup.png")).unwrap();
     assert_eq!(read_rgb(&root.join("000001-color.png")).unwrap().dimensions(), (depth.width, depth.height));
     let on_can: Vec<f32> = mask.pixels().map(|(c, r)| depth.get(c, r)).filter(|&z| z > 0.0).collect();

@@ -39,7 +39,8 @@ impl ViewFiles {
     pub fn read(&self) -> Result<View, FormatError> {
         let camera = read_camera(&self.camera)?;
         let rgb = read_rgb(&self.rgb)?;
-        let depth = read_depth(&self.depth, camera.depth_scale)?;
+        let depth = read_depth(&self.depth, camera.require_depth_scale(&self.camera)?)?;
+        camera.check_size(&self.camera.display().to_string(), rgb.dimensions())?;
         let check = |path: &Path, field, width, height| {
             let size = |(w, h)| format!("{w} x {h}");
             if (width, height) == rgb.dimensions() {

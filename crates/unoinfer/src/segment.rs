@@ -139,11 +139,17 @@ fn frame(arguments: &SegmentArguments) -> anyhow::Result<RgbdFrame> {
     let path = arguments.rgb.as_ref().context("--rgb is missing")?;
     let rgb = read_rgb(path)?;
     let (width, height) = rgb.dimensions();
-    let camera = arguments.camera.as_ref().map(|path| read_camera(path)).transpose()?;
+    let camera = match &arguments.camera {
+        Some(path) => Some((path, read_camera(path)?)),
+        None => None,
+    };
     let depth = match (&arguments.depth, &camera) {
-        (Some(depth), Some(camera)) => read_depth(depth, camera.depth_scale)?,
+        (Some(depth), Some((path, camera))) => read_depth(depth, camera.require_depth_scale(path)?)?,
         _ => DepthMap::zeros(width, height),
     };
+    if let Some((path, camera)) = &camera {
+        camera.check_size(&path.display().to_string(), (width, height))?;
+    }
     if let (Some(path), true) = (&arguments.depth, (depth.width, depth.height) != (width, height)) {
         let size = format!("{} x {}", depth.width, depth.height);
         let expected = format!("{width} x {height} like the colour image");
@@ -152,7 +158,7 @@ fn frame(arguments: &SegmentArguments) -> anyhow::Result<RgbdFrame> {
     // Without depth nothing is back-projected.
     let side = f64::from(width.max(height));
     let centre = Intrinsics { fx: side, fy: side, cx: f64::from(width) / 2.0, cy: f64::from(height) / 2.0 };
-    Ok(RgbdFrame { rgb, depth, intrinsics: camera.map_or(centre, |camera| camera.intrinsics) })
+    Ok(RgbdFrame { rgb, depth, intrinsics: camera.map_or(centre, |(_, camera)| camera.intrinsics) })
 }
 
 fn reference_files(arguments: &SegmentArguments) -> Option<ViewFiles> {

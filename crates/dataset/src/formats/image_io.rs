@@ -28,7 +28,7 @@ pub fn image_size(path: &Path) -> Result<(u32, u32), FormatError> {
     reader.into_dimensions().map_err(|e| image_error(path, e))
 }
 
-/// Depth image, millimetres = value x `depth_scale_to_mm`.
+/// 16-bit depth image, millimetres = value x `depth_scale_to_mm`; 0 and 65535 are no measurement.
 pub fn read_depth(path: &Path, depth_scale_to_mm: f64) -> Result<DepthMap, FormatError> {
     depth_from(read(path)?, path, depth_scale_to_mm)
 }
@@ -87,11 +87,11 @@ pub(super) fn encode_jpeg(image: &RgbImage, quality: u8) -> image::ImageResult<V
     Ok(bytes)
 }
 
-/// The bytes of a 16-bit png. Depth beyond what 16 bits hold at this scale counts as not measured.
+/// The bytes of a 16-bit png. Depth that 65534 steps of this scale do not reach counts as not measured.
 pub(super) fn encode_depth(depth: &DepthMap, depth_scale_to_mm: f64) -> image::ImageResult<Vec<u8>> {
     let per_metre = MM_PER_METRE / depth_scale_to_mm;
     let values = depth.data.iter().map(|&z| (f64::from(z) * per_metre).round());
-    let values = values.map(|v| if v <= f64::from(u16::MAX) { v as u16 } else { 0 }).collect();
+    let values = values.map(|v| if v < f64::from(u16::MAX) { v as u16 } else { 0 }).collect();
     encode_gray::<u16>(depth.width, depth.height, values)
 }
 
@@ -142,13 +142,17 @@ fn depth_from(image: DynamicImage, path: &Path, scale: f64) -> Result<DepthMap, 
         return Err(FormatError::field(path.display(), "depth_scale", scale, "a finite number above 0"));
     }
     let (width, height) = (image.width(), image.height());
-    let metres = |value: u16| (f64::from(value) * scale / MM_PER_METRE) as f32;
+    // Cameras write the largest number where nothing was measured.
+    let metres = |value: u16| match value {
+        u16::MAX => 0.0,
+        value => (f64::from(value) * scale / MM_PER_METRE) as f32,
+    };
     let data = match image {
         DynamicImage::ImageLuma16(gray) => gray.into_raw().into_iter().map(metres).collect(),
-        DynamicImage::ImageLuma8(gray) => gray.into_raw().into_iter().map(|v| metres(v.into())).collect(),
         other => {
             let color = format!("{:?}", other.color());
-            return Err(FormatError::field(path.display(), "depth pixel type", color, "16-bit gray"));
+            let expected = "16-bit gray; an image of 8 bits is a preview, whose distances are lost";
+            return Err(FormatError::field(path.display(), "depth pixel type", color, expected));
         }
     };
     Ok(DepthMap { width, height, data })
@@ -170,10 +174,10 @@ mod tests {
     fn depth_survives_the_file_at_its_resolution() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("depth.png");
-        let depth = DepthMap { width: 4, height: 1, data: vec![0.0, 0.71501, 6.5535, 6.6] };
+        let depth = DepthMap { width: 4, height: 1, data: vec![0.0, 0.71501, 6.5534, 6.5535] };
         write_depth(&path, &depth, 0.1).unwrap();
-        // 0.1 mm steps; 6.6 m is beyond 65535 x 0.1 mm.
-        assert_eq!(read_depth(&path, 0.1).unwrap().data, [0.0, 0.7150, 6.5535, 0.0]);
+        // 0.1 mm steps; 65535 is no measurement.
+        assert_eq!(read_depth(&path, 0.1).unwrap().data, [0.0, 0.7150, 6.5534, 0.0]);
         assert!((read_depth(&path, 1.0).unwrap().data[1] - 7.150).abs() < 1e-6);
         for scale in [0.0, f64::NAN] {
             assert!(read_depth(&path, scale).unwrap_err().to_string().contains("depth_scale"));
@@ -189,7 +193,12 @@ mod tests {
         let rgb = folder.path().join("rgb.png");
         write_rgb(&rgb, &gradient()).unwrap();
         assert_eq!(read_rgb(&rgb).unwrap(), gradient());
-        assert!(read_depth(&rgb, 1.0).unwrap_err().to_string().contains("16-bit gray"));
+        for no_depth in [&rgb, &path] {
+            assert!(read_depth(no_depth, 1.0).unwrap_err().to_string().contains("16-bit gray"));
+        }
+        let unmeasured = folder.path().join("unmeasured.png");
+        ImageBuffer::from_fn(2, 1, |x, _| Luma([[700, u16::MAX][x as usize]])).save(&unmeasured).unwrap();
+        assert_eq!(read_depth(&unmeasured, 1.0).unwrap().data, [0.7, 0.0]);
     }
 
     #[test]

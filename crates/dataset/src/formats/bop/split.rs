@@ -14,7 +14,7 @@ use unopose_core::{
 use super::{
     super::{
         AnnotatedFrame, FormatError, Instance,
-        camera::{Camera, CameraRecord},
+        camera::{BOP_DEPTH_SCALE, Camera, CameraRecord, read_camera},
         files::read_json,
         image_io::{image_size, read_depth, read_mask, read_rgb},
     },
@@ -41,6 +41,8 @@ pub struct BopScene {
     /// `<split>/SSSSSS`.
     pub folder: PathBuf,
     cameras: BTreeMap<u32, CameraRecord>,
+    /// Depth scale of entries that have none: the dataset's, else BOP's default.
+    depth_scale: f64,
     gt: BTreeMap<u32, Vec<GtRecord>>,
     gt_info: BTreeMap<u32, Vec<GtInfoRecord>>,
 }
@@ -57,6 +59,21 @@ pub(super) fn scene_folders(split: &Path) -> Result<Vec<u32>, FormatError> {
         .collect();
     ids.sort_unstable();
     Ok(ids)
+}
+
+/// The depth scale of the dataset's `camera.json`, for scenes whose cameras have none; BOP's default, with a warning, where
+/// that file does not say either.
+fn dataset_depth_scale(split: &Path, scene: &Path) -> Result<f64, FormatError> {
+    let file = split.parent().map(|root| root.join("camera.json")).filter(|path| path.is_file());
+    let given = file.map(|path| read_camera(&path)).transpose()?.and_then(|camera| camera.depth_scale);
+    Ok(given.unwrap_or_else(|| {
+        let place = scene.join("scene_camera.json");
+        tracing::warn!(
+            "{} has no depth_scale, and no camera.json of the dataset gives one: {BOP_DEPTH_SCALE} mm per unit is taken",
+            place.display()
+        );
+        BOP_DEPTH_SCALE
+    }))
 }
 
 impl BopSplit {
@@ -145,9 +162,12 @@ impl BopScene {
     fn open(split: &Path, id: u32) -> Result<Self, FormatError> {
         let folder = split.join(format!("{id:06}"));
         let optional = |name: &str| Some(folder.join(name)).filter(|path| path.is_file());
+        let cameras: BTreeMap<u32, CameraRecord> = read_json(&folder.join("scene_camera.json"))?;
+        let complete = cameras.values().all(|camera| camera.depth_scale.is_some());
         Ok(Self {
             id,
-            cameras: read_json(&folder.join("scene_camera.json"))?,
+            depth_scale: if complete { BOP_DEPTH_SCALE } else { dataset_depth_scale(split, &folder)? },
+            cameras,
             gt: optional("scene_gt.json").map_or(Ok(BTreeMap::new()), |path| read_json(&path))?,
             gt_info: optional("scene_gt_info.json").map_or(Ok(BTreeMap::new()), |path| read_json(&path))?,
             folder,
@@ -215,14 +235,16 @@ impl BopScene {
     /// Colour (or gray), depth and camera of an image.
     pub fn frame(&self, im_id: u32) -> Result<RgbdFrame, FormatError> {
         let rgb = read_rgb(&self.color_path(im_id)?)?;
-        let (depth, intrinsics) = (self.depth(im_id)?, self.camera(im_id)?.intrinsics);
+        let (depth, camera) = (self.depth(im_id)?, self.camera(im_id)?);
+        let place = format!("{}: image {im_id}", self.folder.join("scene_camera.json").display());
+        camera.check_size(&place, rgb.dimensions())?;
         if (depth.width, depth.height) != rgb.dimensions() {
             let size = format!("{} x {}", depth.width, depth.height);
             let expected = format!("that of the colour image, {} x {}", rgb.width(), rgb.height());
             let place = format!("{}: image {im_id}", self.folder.join("depth").display());
             return Err(FormatError::field(place, "size", size, expected));
         }
-        Ok(RgbdFrame { rgb, depth, intrinsics })
+        Ok(RgbdFrame { rgb, depth, intrinsics: camera.intrinsics })
     }
 
     /// Width and height of the colour (or gray) image.
@@ -237,7 +259,7 @@ impl BopScene {
     /// Depth of an image, metres.
     pub fn depth(&self, im_id: u32) -> Result<DepthMap, FormatError> {
         let path = self.image_path(im_id, &["depth"], &["png", "tif", "tiff"])?;
-        read_depth(&path, self.camera(im_id)?.depth_scale)
+        read_depth(&path, self.camera(im_id)?.depth_scale.unwrap_or(self.depth_scale))
     }
 
     /// Visible mask of an instance.

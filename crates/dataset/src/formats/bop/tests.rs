@@ -59,6 +59,30 @@ fn a_written_scene_is_read_back() {
 }
 
 #[test]
+fn a_scale_that_the_scene_lacks_is_the_datasets() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = write_scene(folder.path());
+    let cameras = folder.path().join("test_primesense/000002/scene_camera.json");
+    let with_scale = std::fs::read_to_string(&cameras).unwrap();
+    let depth = || {
+        let dataset = BopDataset::open(folder.path()).unwrap();
+        dataset.test_split().unwrap().scene(2).unwrap().depth(7).map(|depth| depth.data[0])
+    };
+    std::fs::write(&cameras, with_scale.replace("\"depth_scale\":0.1", "\"other\":0.1")).unwrap();
+    // BOP's default: a tenth of a millimetre is taken for a whole one.
+    assert!((depth().unwrap() - 7.5).abs() < 1e-6);
+    let camera = folder.path().join("camera.json");
+    let fields = r#"{"fx": 600.0, "fy": 601.0, "cx": 7.5, "cy": 5.5"#;
+    std::fs::write(&camera, format!("{fields}, \"depth_scale\": 0.1}}")).unwrap();
+    assert_eq!(depth().unwrap(), written.frame.depth.data[0]);
+    // A size that contradicts the image.
+    std::fs::write(&cameras, with_scale.replace("\"depth_scale\"", "\"width\":32,\"depth_scale\"")).unwrap();
+    let message =
+        BopDataset::open(folder.path()).unwrap().test_split().unwrap().load(2, 7).unwrap_err().to_string();
+    assert!(message.contains("32 x 12") && message.contains("16 x 12"), "{message}");
+}
+
+#[test]
 fn what_is_missing_is_named() {
     let folder = tempfile::tempdir().unwrap();
     write_scene(folder.path());

@@ -1,5 +1,7 @@
 //! One image of a shard, whole.
 
+use std::path::Path;
+
 use image::RgbImage;
 use unopose_core::frame::RgbdFrame;
 
@@ -53,7 +55,9 @@ impl ShardImage {
     pub fn annotated(self) -> Result<AnnotatedFrame, FormatError> {
         let Self { records, rgb, depth_png, name } = self;
         let camera = records.camera.check(&name)?;
-        let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), camera.depth_scale)?;
+        let scale = camera.require_depth_scale(Path::new(&format!("{name}.camera.json")))?;
+        let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), scale)?;
+        camera.check_size(&format!("{name}.camera.json"), rgb.dimensions())?;
         if (depth.width, depth.height) != (rgb.width(), rgb.height()) {
             let value = format!("{} x {}", depth.width, depth.height);
             let expected = format!("{} x {} as rgb.jpg", rgb.width(), rgb.height());

@@ -8,6 +8,7 @@ use unopose_core::{files::write_atomic, frame::DepthMap};
 use super::{
     super::{
         FormatError,
+        camera::BOP_DEPTH_SCALE,
         image_io::{encode_depth, encode_jpeg},
     },
     records::{ImageRecords, MemberKind, masks_to_json},
@@ -26,7 +27,7 @@ pub struct EncodedImage {
 }
 
 impl EncodedImage {
-    /// Encodes an image; depth is stored in the camera record's `depth_scale`.
+    /// Encodes an image; depth is stored in the camera record's `depth_scale`, BOP's where it has none.
     pub fn new(
         key: &str,
         rgb: &RgbImage,
@@ -39,7 +40,10 @@ impl EncodedImage {
         let member = |kind| -> Result<(MemberKind, Vec<u8>), FormatError> {
             let bytes = match kind {
                 MemberKind::Camera => serde_json::to_vec(&records.camera).map_err(json)?,
-                MemberKind::Depth => encode_depth(depth, records.camera.depth_scale).map_err(picture)?,
+                MemberKind::Depth => {
+                    encode_depth(depth, records.camera.depth_scale.unwrap_or(BOP_DEPTH_SCALE))
+                        .map_err(picture)?
+                }
                 MemberKind::Gt => serde_json::to_vec(&records.gt).map_err(json)?,
                 MemberKind::GtInfo => serde_json::to_vec(&records.gt_info).map_err(json)?,
                 MemberKind::Mask => masks_to_json(&records.mask).map_err(json)?,
