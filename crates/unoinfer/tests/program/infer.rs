@@ -221,6 +221,17 @@ fn bad_cameras_are_named() {
     files.refused(&[("--camera", "nan.json")], "nan.json", "line 1");
     camera("no_scale.json", "300", "0");
     files.refused(&[("--camera", "no_scale.json")], "no_scale.json", "depth_scale is 0");
+    // Without a unit a pose would be as far off as the guess.
+    let without = |name: &str, more: &str| {
+        let text = format!(r#"{{"cam_K": [300, 0, 159.5, 0, 300, 119.5, 0, 0, 1]{more}}}"#);
+        std::fs::write(files.at(name), text).unwrap();
+    };
+    without("absent.json", "");
+    files.refused(&[("--camera", "absent.json")], "absent.json", "depth_scale not found");
+    without("misspelt.json", r#", "depthScale": 0.1"#);
+    files.refused(&[("--camera", "misspelt.json")], "misspelt.json", "depthScale is unknown");
+    without("other.json", r#", "depth_scale": 0.1, "width": 640, "height": 480"#);
+    files.refused(&[("--camera", "other.json")], "other.json", "640 x 480, expected 320 x 240");
     // Units read as metres, and as thousandths of a millimetre.
     camera("metres.json", "300", "100");
     files.refused(&[("--reference-camera", "metres.json")], "metres.json", "radius");
