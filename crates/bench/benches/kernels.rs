@@ -38,12 +38,16 @@ struct Arguments {
     bench: bool,
 }
 
-/// Medians of the seconds of `work` with the kernel and without it.
-fn with_and_without(kernel: Kernel, rounds: usize, work: &dyn Fn()) -> [f64; 2] {
+/// Work that is ready to be timed.
+type Work<'a> = Box<dyn FnOnce() + 'a>;
+
+/// Medians of the seconds with the kernel and without it of what `prepare` makes ready.
+fn with_and_without<'a>(kernel: Kernel, rounds: usize, prepare: &dyn Fn() -> Work<'a>) -> [f64; 2] {
     let mut seconds = [Vec::new(), Vec::new()];
     for round in 0..=rounds {
         for (without, seconds) in seconds.iter_mut().enumerate() {
             kernel.switch(without == 0);
+            let work = prepare();
             let start = Instant::now();
             work();
             // The first round fills caches.
@@ -69,13 +73,19 @@ fn main() -> anyhow::Result<()> {
     let samples: Vec<TrainSample> =
         (0..arguments.pairs.max(1)).map(|index| sampler.sample(index, false)).collect::<Result<_, _>>()?;
     let training = device.clone().autodiff();
-    let (model, trained) =
-        (UnoPose::new(&config.model, 0, &device), UnoPose::new(&config.model, 0, &training));
+    let model = UnoPose::new(&config.model, 0, &device);
     let pair = [(&samples[0].query, &samples[0].reference)];
-    let estimate = || {
-        estimate_pairs(&model, &config.model, &pair, Uniforms::Shared(0), &device).expect("a pose");
+    let estimate = || -> Work<'_> {
+        Box::new(|| {
+            estimate_pairs(&model, &config.model, &pair, Uniforms::Shared(0), &device).expect("a pose");
+        })
     };
-    let train = || drop(forward_backward(&trained, &config, &samples, &training));
+    // A new network each time, as a step has one: the tape of its running statistics would grow.
+    let train = || -> Work<'_> {
+        let trained = UnoPose::new(&config.model, 0, &training);
+        let (config, samples, training) = (&config, &samples, &training);
+        Box::new(move || drop(forward_backward(&trained, config, samples, training)))
+    };
     println!(
         "configuration {}, {} threads, passes of {} pairs\n",
         arguments.config,
@@ -85,10 +95,10 @@ fn main() -> anyhow::Result<()> {
     println!("| kernel | pair ms | without | gain % | pass ms | without | gain % |\n|--|--|--|--|--|--|--|");
     let wanted = arguments.filter.unwrap_or_default();
     for &kernel in Kernel::ALL.iter().filter(|kernel| kernel.name().contains(&wanted)) {
-        let cells: Vec<String> = [&estimate as &dyn Fn(), &train]
+        let cells: Vec<String> = [&estimate as &dyn Fn() -> Work<'_>, &train]
             .into_iter()
-            .map(|work| {
-                let [with, without] = with_and_without(kernel, arguments.rounds.max(1), work);
+            .map(|prepare| {
+                let [with, without] = with_and_without(kernel, arguments.rounds.max(1), prepare);
                 let gain = 100.0 * (1.0 - with / without);
                 format!("{:.1} | {:.1} | {gain:.1}", 1e3 * with, 1e3 * without)
             })
