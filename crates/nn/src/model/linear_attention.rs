@@ -10,7 +10,7 @@ use burn::{
 };
 
 use super::{
-    fused::{FocusedMaps, add_layer_norm, dense_layer, focus_cubed},
+    fused::{FocusedMaps, dense_layer, focus_cubed},
     init::Initializer,
     transformer::{AttentionOutput, LAYER_NORM_EPSILON},
 };
@@ -131,7 +131,7 @@ impl LinearTransformerLayer {
     pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>) -> Tensor<3> {
         let attended = self.attention.attention.forward(x.clone(), memory);
         let attended = self.attention.linear.forward(attended);
-        let x = add_layer_norm(&self.attention.norm, LAYER_NORM_EPSILON, attended, x);
+        let x = self.attention.norm.forward(attended + x);
         self.output.forward(x)
     }
 }

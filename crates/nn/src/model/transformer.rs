@@ -8,7 +8,7 @@ use burn::{
 
 use super::{
     attention::MultiHeadAttention,
-    fused::{TokenMaps, add_layer_norm, attention_layer},
+    fused::{TokenMaps, attention_layer},
     init::Initializer,
 };
 
@@ -71,7 +71,7 @@ impl AttentionOutput {
     /// `[B, N, C]` in and out.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let hidden = self.squeeze.forward(relu(self.expand.forward(x.clone())));
-        add_layer_norm(&self.norm, LAYER_NORM_EPSILON, hidden, x)
+        self.norm.forward(hidden + x)
     }
 }
 
@@ -97,7 +97,7 @@ impl TransformerLayer {
         }
         let attended = self.attention.attention.forward(x.clone(), memory, embedding);
         let attended = self.attention.linear.forward(attended);
-        let x = add_layer_norm(&self.attention.norm, LAYER_NORM_EPSILON, attended, x);
+        let x = self.attention.norm.forward(attended + x);
         self.output.forward(x)
     }
 }

@@ -12,7 +12,6 @@ use burn::{
         activation::{relu, softmax},
     },
 };
-use unopose_nn::model::fused::add_layer_norm;
 
 use super::{
     layers::{MlpBlock, linear},
@@ -132,7 +131,7 @@ impl TwoWayAttentionBlock {
         let with_prompts = queries.clone() + tokens.clone();
         let read = self.cross_attn_image_to_token.many_to_few(placed, with_prompts, queries.clone());
         let keys = keys.expand(read.dims());
-        (queries, add_layer_norm(&self.norm4, LAYER_NORM_EPSILON, read, keys))
+        (queries, self.norm4.forward(read + keys))
     }
 }
 

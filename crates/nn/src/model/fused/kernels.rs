@@ -2,10 +2,7 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use burn::{
-    nn::{LayerNorm, Linear},
-    tensor::Tensor,
-};
+use burn::{nn::Linear, tensor::Tensor};
 
 use super::{AttentionMaps, FocusedMaps, PositionBias, TokenMaps, VisionMaps};
 
@@ -66,9 +63,6 @@ kernels! {
     RelativeScores: relative_scores::relative_scores(projected: &Tensor<4>, embedding: &Tensor<4>) -> Tensor<4>;
     SoftmaxAttention: softmax_attention::softmax_attention(
         qkv: [&Tensor<3>; 3], position: Option<&Tensor<4>>, heads: usize,
-    ) -> Tensor<3>;
-    AddLayerNorm: layer_norm::add_layer_norm(
-        norm: &LayerNorm, epsilon: f64, x: &Tensor<3>, residual: &Tensor<3>,
     ) -> Tensor<3>;
     InterpolatedEmbedding: embedding::interpolated_embedding(
         tables: &[Tensor<2>; 2], distances: &Tensor<1>, angles: &Tensor<2>,

@@ -13,7 +13,7 @@ mod projections;
 mod tests;
 
 use burn::{
-    nn::{LayerNorm, Linear},
+    nn::Linear,
     tensor::{
         Int, Tensor, activation,
         module::{attention, layer_norm, linear},
@@ -228,14 +228,6 @@ pub fn softmax_attention(
 pub fn split_heads(x: Tensor<3>, heads: usize) -> Tensor<4> {
     let [batch, n, width] = x.dims();
     x.reshape([batch, n, heads, width / heads]).swap_dims(1, 2)
-}
-
-/// `norm(x + residual)` over the channels, `[B, N, C]`. `epsilon` is the norm's own, which keeps it to itself.
-pub fn add_layer_norm(norm: &LayerNorm, epsilon: f64, x: Tensor<3>, residual: Tensor<3>) -> Tensor<3> {
-    if let Some(y) = kernels::add_layer_norm(norm, epsilon, &x, &residual) {
-        return y;
-    }
-    norm.forward(x + residual)
 }
 
 /// Sum of the distance row and the largest of the `k` angle rows of each pair, linearly interpolated in tables

@@ -6,7 +6,6 @@ pub mod dense_layer;
 pub mod embedding;
 pub mod focus;
 pub mod in_place;
-pub mod layer_norm;
 pub mod linear_relu;
 pub mod match_tokens;
 pub mod moments;
