@@ -11,7 +11,7 @@ use burn::{
 use unopose_core::config::{MatchingConfig, OverlapMode};
 
 use super::{
-    fused::{cosines, tokens},
+    fused::cosines,
     init::Initializer,
     precision::{like, single},
 };
@@ -102,7 +102,13 @@ impl MatchingHead<'_> {
     /// projected points.
     pub fn tokens(&self, features: Tensor<3>, extra: Option<Tensor<3>>) -> Tensor<3> {
         let extra = extra.map(|extra| like(extra, &self.in_proj.weight));
-        tokens(like(features, &self.in_proj.weight), self.in_proj, extra, self.bg_token.val())
+        let points = self.in_proj.forward(like(features, &self.in_proj.weight));
+        let points = match extra {
+            Some(extra) => points + extra,
+            None => points,
+        };
+        let [batch, _, width] = points.dims();
+        Tensor::cat(vec![self.bg_token.val().expand([batch, 1, width]), points], 1)
     }
 
     /// Similarity and overlap after block `index` from the tokens `[B, 1 + N, C]` of both clouds.

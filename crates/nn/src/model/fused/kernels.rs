@@ -67,10 +67,7 @@ kernels! {
     InterpolatedEmbedding: embedding::interpolated_embedding(
         tables: &[Tensor<2>; 2], distances: &Tensor<1>, angles: &Tensor<2>,
     ) -> Tensor<2>;
-    Tokens: match_tokens::tokens(
-        points: &Tensor<3>, map: &Linear, extra: Option<&Tensor<3>>, background: &Tensor<3>,
-    ) -> Tensor<3>;
-    Cosines: match_tokens::cosines(a: &Tensor<3>, b: &Tensor<3>, map: &Linear, factor: f32) -> Tensor<3>;
+    Cosines: cosines::cosines(a: &Tensor<3>, b: &Tensor<3>, map: &Linear, factor: f32) -> Tensor<3>;
     SampledLinear: panels::sampled_linear(
         x: &Tensor<2>, map: &Linear, width: usize, rows: &[i32], weights: &[f32],
     ) -> Tensor<2>;

@@ -26,7 +26,7 @@ pub use layers::{
     AttentionMaps, FocusedMaps, TokenMaps, VisionMaps, attention_layer, dense_layer, vision_block,
     vision_block_at,
 };
-pub use projections::{cosines, sampled_linear, tokens, weighted_rows};
+pub use projections::{cosines, sampled_linear, weighted_rows};
 
 /// `relu(x W + s)`: `[R, K] -> [R, C]`.
 pub fn linear_relu(x: Tensor<2>, weight: Tensor<2>, shift: Tensor<1>) -> Tensor<2> {

@@ -1,4 +1,4 @@
-//! Where the network reads points in and out: tokens, cosines and bilinear samples of linear maps.
+//! Cosines and bilinear samples of linear maps.
 
 use burn::{
     nn::Linear,
@@ -6,21 +6,6 @@ use burn::{
 };
 
 use crate::model::{matching::BlockOutput, precision::single, rows::select_rows};
-
-/// Points `[B, N, K]` to tokens with a background token `[1, 1, C]` in front, `[B, 1 + N, C]`; `extra` is added to the
-/// mapped points.
-pub fn tokens(points: Tensor<3>, map: &Linear, extra: Option<Tensor<3>>, background: Tensor<3>) -> Tensor<3> {
-    if let Some(y) = super::kernels::tokens(&points, map, extra.as_ref(), &background) {
-        return y;
-    }
-    let x = map.forward(points);
-    let x = match extra {
-        Some(extra) => x + extra,
-        None => x,
-    };
-    let [batch, _, width] = x.dims();
-    Tensor::cat(vec![background.expand([batch, 1, width]), x], 1)
-}
 
 /// Cosines of mapped tokens `[B, N, K]` and `[B, M, K]` over a temperature, `[B, N, M]`.
 pub fn cosines(a: Tensor<3>, b: Tensor<3>, map: &Linear, temperature: f64) -> Tensor<3> {

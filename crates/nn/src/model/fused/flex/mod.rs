@@ -2,12 +2,12 @@
 //! not `f32` in that memory, and then the plain form runs.
 
 pub mod attention_layer;
+pub mod cosines;
 pub mod dense_layer;
 pub mod embedding;
 pub mod focus;
 pub mod in_place;
 pub mod linear_relu;
-pub mod match_tokens;
 pub mod moments;
 pub mod panels;
 pub mod pooled;

@@ -1,4 +1,4 @@
-//! The two ends of a matching stage without gradients: points to tokens, and tokens to cosines.
+//! The end of a matching stage without gradients: tokens to cosines.
 
 use burn::{nn::Linear, tensor::Tensor};
 use rayon::prelude::*;
@@ -15,37 +15,6 @@ const ROWS: usize = 96;
 const COLUMNS: usize = 512;
 /// Columns are padded to whole vectors of a tile.
 const LANES: usize = 64;
-
-/// `x W + b + extra` behind a background token `[C]`: `[B, N, K]` and `[B, N, C]` to `[B, 1 + N, C]`.
-pub fn tokens(
-    x: &Tensor<3>,
-    map: &Linear,
-    extra: Option<&Tensor<3>>,
-    background: &Tensor<3>,
-) -> Option<Tensor<3>> {
-    let [batch, n, inner] = x.dims();
-    let (x, map, background) = (Values::of(x)?, Map::of(map)?, Values::of(background)?);
-    let extra = match extra {
-        Some(extra) => Some(Values::of(extra)?),
-        None => None,
-    };
-    let width = map.outputs();
-    let mut out = vec![0.0f32; batch * (1 + n) * width];
-    let mut tasks = Vec::with_capacity(batch * n.div_ceil(ROWS));
-    for (item, out) in out.chunks_exact_mut((1 + n) * width).enumerate() {
-        let (first, points) = out.split_at_mut(width);
-        first.copy_from_slice(&background);
-        let blocks = points.chunks_mut(ROWS * width).enumerate();
-        tasks.extend(blocks.map(|(block, out)| (item * n + block * ROWS, out)));
-    }
-    tasks.into_par_iter().for_each(|(first, out)| {
-        map.write(out, &x[first * inner..][..out.len() / width * inner]);
-        if let Some(extra) = &extra {
-            vectorised!(out.iter_mut().zip(&extra[first * width..]).for_each(|(o, e)| *o += e));
-        }
-    });
-    Some(plain(out, [batch, 1 + n, width]))
-}
 
 /// `factor` times the cosines of mapped tokens, `[B, N, K]` and `[B, M, K]` to `[B, N, M]`; norms are at least 1e-12.
 pub fn cosines(a: &Tensor<3>, b: &Tensor<3>, map: &Linear, factor: f32) -> Option<Tensor<3>> {
