@@ -11,13 +11,15 @@ mod foreground;
 pub mod image_io;
 pub mod megapose;
 pub mod models;
+mod numbered;
 pub mod results;
 pub mod rle;
 mod sequence;
 mod symmetry;
 pub mod targets;
+mod whole_numbers;
 
-pub use bop::{BopDataset, BopScene, BopSplit};
+pub use bop::{BopDataset, BopScene, BopSplit, DatasetSplits};
 pub use error::FormatError;
 pub use foreground::Foreground;
 pub use models::ModelInfo;

@@ -9,6 +9,7 @@ use unopose_core::geometry::Pose;
 use super::{
     FormatError,
     files::{read_json, write_json},
+    numbered::ById,
     symmetry::{ObjectSymmetries, SymmetryAxis},
 };
 
@@ -59,7 +60,7 @@ struct AxisRecord {
 
 /// Reads `models_info.json`, by object id.
 pub fn read_models_info(path: &Path) -> Result<BTreeMap<u32, ModelInfo>, FormatError> {
-    let records: BTreeMap<u32, ModelRecord> = read_json(path)?;
+    let ById(records) = read_json::<ById<ModelRecord>>(path)?;
     let check = |(id, record): (u32, ModelRecord)| {
         let place = || format!("{}: object {id}", path.display());
         Ok((id, record.check().map_err(|e| e.within(place()))?))
@@ -76,20 +77,24 @@ pub fn write_models_info(path: &Path, models: &BTreeMap<u32, ModelInfo>) -> Resu
 
 impl ModelRecord {
     fn check(self) -> Result<ModelInfo, FormatError> {
-        if !(self.diameter.is_finite() && self.diameter > 0.0) {
-            return Err(FormatError::field(
-                "entry",
-                "diameter",
-                self.diameter,
-                "a finite number above 0 (mm)",
-            ));
+        let positive = |field: &str, value: f64| match value.is_finite() && value > 0.0 {
+            true => Ok(()),
+            false => Err(FormatError::field("entry", field, value, "a finite number above 0 (mm)")),
+        };
+        positive("diameter", self.diameter)?;
+        // Absent sides are 0.
+        for (field, side) in [("size_x", self.size_x), ("size_y", self.size_y), ("size_z", self.size_z)] {
+            if side != 0.0 {
+                positive(field, side)?;
+            }
         }
         let discrete = self.symmetries_discrete.iter().map(|m| {
             let pose = Pose::new(
                 Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]),
                 Vector3::new(m[3], m[7], m[11]) / MM_PER_METRE,
             );
-            if pose.rotation_defect() < 1e-2 {
+            let last_row = m[12..15].iter().all(|v| v.abs() < 1e-6) && (m[15] - 1.0).abs() < 1e-6;
+            if pose.rotation_defect() < 1e-2 && last_row {
                 Ok(pose)
             } else {
                 Err(FormatError::field(

@@ -18,6 +18,8 @@ use super::{
     FormatError,
     files::read_json,
     image_io::{read_depth, read_mask, read_rgb},
+    numbered::id_of,
+    whole_numbers::some_whole,
 };
 
 /// Millimetres per unit of the depth images.
@@ -28,6 +30,8 @@ const DEPTH_SCALE: f64 = 1.0;
 pub struct PhoneSequence {
     folder: PathBuf,
     intrinsics: Intrinsics,
+    /// Columns and rows that the camera is of.
+    size: [Option<u32>; 2],
     frames: BTreeMap<u32, SequenceFrame>,
 }
 
@@ -43,12 +47,17 @@ struct SequenceFrame {
 struct Metadata {
     #[serde(rename = "K")]
     k: Vec<f64>,
+    /// Columns and rows of the colour images, where the file has them.
+    #[serde(default, deserialize_with = "some_whole")]
+    w: Option<u32>,
+    #[serde(default, deserialize_with = "some_whole")]
+    h: Option<u32>,
 }
 
 impl PhoneSequence {
     /// Finds the frames that have colour, depth, a mask and a camera pose.
     pub fn open(folder: &Path) -> Result<Self, FormatError> {
-        let intrinsics = intrinsics(&folder.join("metadata"))?;
+        let (intrinsics, size) = camera(&folder.join("metadata"))?;
         let [rgb, depth, masks] = ["rgb", "depth", "masks"].map(|name| numbered_files(&folder.join(name)));
         let (mut rgb, mut depth, mut masks) = (rgb?, depth?, masks?);
         let mut frames = BTreeMap::new();
@@ -63,7 +72,7 @@ impl PhoneSequence {
             let hint = "a frame has files in rgb/, depth/ and masks/ and a line in cam_poses.txt";
             return Err(FormatError::missing(folder.display(), "frames", hint));
         }
-        Ok(Self { folder: folder.to_path_buf(), intrinsics, frames })
+        Ok(Self { folder: folder.to_path_buf(), intrinsics, size, frames })
     }
 
     /// Last part of the folder's path.
@@ -82,6 +91,12 @@ impl PhoneSequence {
         let (rgb, depth) = (read_rgb(&entry.rgb)?, read_depth(&entry.depth, DEPTH_SCALE)?);
         let mask = read_mask(&entry.mask)?;
         let expected = format!("that of the colour image, {} x {}", rgb.width(), rgb.height());
+        let size = (self.size[0].unwrap_or(rgb.width()), self.size[1].unwrap_or(rgb.height()));
+        if size != rgb.dimensions() {
+            let (place, size) = (self.folder.join("metadata"), format!("{} x {}", size.0, size.1));
+            let expected = format!("{expected} ({})", entry.rgb.display());
+            return Err(FormatError::field(place.display(), "size", size, expected));
+        }
         for (path, size) in
             [(&entry.depth, (depth.width, depth.height)), (&entry.mask, (mask.width, mask.height))]
         {
@@ -109,26 +124,34 @@ impl PhoneSequence {
     }
 }
 
-fn intrinsics(path: &Path) -> Result<Intrinsics, FormatError> {
-    let Metadata { k } = read_json(path)?;
-    let values: [f64; 9] = match k.as_slice().try_into() {
-        Ok(values) => values,
-        Err(_) => {
-            return Err(FormatError::field(path.display(), "K", format!("{k:?}"), "9 numbers, column-major"));
-        }
+fn camera(path: &Path) -> Result<(Intrinsics, [Option<u32>; 2]), FormatError> {
+    let Metadata { k, w, h } = read_json(path)?;
+    let wrong = |expected: &str| Err(FormatError::field(path.display(), "K", format!("{k:?}"), expected));
+    let Ok([fx, _, k20, _, fy, k21, cx, cy, k22]) = <[f64; 9]>::try_from(k.as_slice()) else {
+        return wrong("9 numbers, column-major");
     };
-    let [fx, _, _, _, fy, _, cx, cy, _] = values;
-    if !values.iter().all(|v| v.is_finite()) || fx <= 0.0 || fy <= 0.0 {
-        return Err(FormatError::field(path.display(), "K", format!("{k:?}"), "focal lengths above 0"));
+    if fx <= 0.0 || fy <= 0.0 {
+        return wrong("focal lengths above 0");
     }
-    Ok(Intrinsics { fx, fy, cx, cy })
+    if [k20, k21, k22] != [0.0, 0.0, 1.0] {
+        return wrong("fx, 0, 0, s, fy, 0, cx, cy, 1: column by column");
+    }
+    Ok((Intrinsics { fx, fy, cx, cy }, [w, h]))
 }
 
 /// Files of a folder whose names are numbers.
 fn numbered_files(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, FormatError> {
     let entries = std::fs::read_dir(folder).map_err(|e| FormatError::io(folder, e))?;
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    Ok(paths.filter_map(|path| Some((path.file_stem()?.to_str()?.parse().ok()?, path))).collect())
+    let mut files = BTreeMap::new();
+    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+        let Some(id) = path.file_stem().and_then(|stem| id_of(stem.to_str()?)) else { continue };
+        if let Some(other) = files.insert(id, path) {
+            let expected = "one file per frame";
+            let value = format!("{} and another file", other.display());
+            return Err(FormatError::field(folder.display(), format!("frame {id}"), value, expected));
+        }
+    }
+    Ok(files)
 }
 
 fn camera_poses(path: &Path) -> Result<BTreeMap<u32, Pose>, FormatError> {
@@ -138,7 +161,7 @@ fn camera_poses(path: &Path) -> Result<BTreeMap<u32, Pose>, FormatError> {
         let place = || format!("{}: line {}", path.display(), index + 1);
         let wrong = |expected: &str| FormatError::field(place(), "line", line.trim(), expected);
         let mut words = line.split_whitespace();
-        let id = words.next().and_then(|word| word.parse::<u32>().ok());
+        let id = words.next().and_then(id_of);
         let numbers: Option<Vec<f64>> =
             words.map(|word| word.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let (Some(id), Some(Ok(m))) = (id, numbers.map(<[f64; 16]>::try_from)) else {
@@ -146,7 +169,8 @@ fn camera_poses(path: &Path) -> Result<BTreeMap<u32, Pose>, FormatError> {
         };
         let rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
         let pose = Pose::from_row_major(&rotation, &Vector3::new(m[3], m[7], m[11]).into());
-        if pose.rotation_defect() > 1e-2 {
+        let last_row = m[12..15].iter().all(|v| v.abs() < 1e-6) && (m[15] - 1.0).abs() < 1e-6;
+        if pose.rotation_defect() > 1e-2 || !last_row {
             return Err(wrong("a rigid 4x4 matrix, row-major"));
         }
         if poses.insert(id, pose).is_some() {
@@ -195,6 +219,10 @@ mod tests {
         assert!((t.rotation_angle_deg(&Pose::identity()) - 90.0).abs() < 1e-9);
         let message = sequence.load(3).unwrap_err().to_string();
         assert!(message.contains("frame 3 not found (2 frames, 0 to 7)"), "{message}");
+        let turned = r#"{"w": 3, "h": 4, "K": [50, 0, 0, 0, 60, 0, 1.5, 1, 1]}"#;
+        std::fs::write(folder.path().join("metadata"), turned).unwrap();
+        let message = PhoneSequence::open(folder.path()).unwrap().load(0).unwrap_err().to_string();
+        assert!(message.contains("size is 3 x 4") && message.contains("4 x 3"), "{message}");
     }
 
     #[test]
@@ -211,8 +239,18 @@ mod tests {
         fails("line 2");
         write(folder.path(), "0 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1");
         fails("rigid");
+        // A matrix written column by column.
+        write(folder.path(), "0 1 0 0 0 0 1 0 0 0 0 1 0 0.1 0 0 1");
+        fails("row-major");
         write(folder.path(), &format!("3 {IDENTITY}"));
         fails("frames not found");
+        std::fs::write(folder.path().join("masks/7.png"), "").unwrap();
+        fails("masks: frame 7 is");
+        let metadata = folder.path().join("metadata");
+        std::fs::write(&metadata, r#"{"K": [50, 0, 1.5, 0, 60, 1, 0, 0, 1]}"#).unwrap();
+        fails("column by column");
+        std::fs::write(&metadata, r#"{"K": [50, 0, 0, 0, NaN, 0, 1.5, 1, 1]}"#).unwrap();
+        fails("K[4]: invalid type: string \"NaN\"");
         std::fs::write(folder.path().join("metadata"), r#"{"K": [1, 2]}"#).unwrap();
         fails("K is [1.0, 2.0]");
     }

@@ -56,36 +56,78 @@ impl AnnotatedInstance {
     }
 }
 
-/// All annotated instances of a split, by scene and image.
+/// All annotated instances of a split, by scene and image. Scenes and images that cannot be read are left out, each with a
+/// warning.
 pub(crate) fn annotated_instances(split: &BopSplit) -> Result<Vec<AnnotatedInstance>, FormatError> {
-    let mut found = Vec::new();
+    let mut found = Found::default();
     for &scene_id in split.scene_ids() {
-        let scene = split.scene(scene_id)?;
-        let Some(first) = scene.image_ids().next() else { continue };
+        let scene = match split.scene(scene_id) {
+            Ok(scene) => scene,
+            Err(error) => {
+                found.leave_out(error);
+                continue;
+            }
+        };
         // The images of a scene are from one camera.
-        let size = scene.image_size(first)?;
+        let size = scene.image_ids().find_map(|im_id| scene.image_size(im_id).ok());
         let folder = Arc::new(scene.folder.clone());
         for im_id in scene.image_ids() {
-            found.extend(instances_in_image(&scene, im_id, size, &folder)?);
+            if !scene.is_annotated(im_id) {
+                found.error = scene.gt(im_id).err().or(found.error);
+                continue;
+            }
+            let size = size.map_or_else(|| scene.image_size(im_id), Ok);
+            match size.and_then(|size| instances_in_image(&scene, im_id, size, &folder)) {
+                Ok(instances) => found.instances.extend(instances),
+                Err(error) => found.leave_out(error),
+            }
         }
     }
-    Ok(found)
+    found.finish()
 }
 
-/// The most visible instance of every target.
+/// The most visible instance of every target. Those whose images cannot be read are left out, each with a warning.
 pub(crate) fn target_instances(
     split: &BopSplit,
     targets: &[Target],
 ) -> Result<Vec<AnnotatedInstance>, FormatError> {
-    let mut found = Vec::new();
-    for target in targets {
+    let mut found = Found::default();
+    let instance = |target: &Target| -> Result<Option<AnnotatedInstance>, FormatError> {
         let scene = split.scene(target.scene_id)?;
         let size = scene.image_size(target.im_id)?;
         let instances = instances_in_image(&scene, target.im_id, size, &Arc::new(scene.folder.clone()))?;
         let (best, _) = scene.most_visible(target.im_id, target.obj_id)?;
-        found.extend(instances.into_iter().nth(best));
+        Ok(instances.into_iter().nth(best))
+    };
+    for target in targets {
+        match instance(target) {
+            Ok(instance) => found.instances.extend(instance),
+            Err(error) => found.leave_out(error),
+        }
     }
-    Ok(found)
+    found.finish()
+}
+
+/// Instances, and why others are not among them.
+#[derive(Default)]
+struct Found {
+    instances: Vec<AnnotatedInstance>,
+    error: Option<FormatError>,
+}
+
+impl Found {
+    fn leave_out(&mut self, error: FormatError) {
+        tracing::warn!("{error}: left out");
+        self.error = Some(error);
+    }
+
+    /// An error when there are no instances because of one.
+    fn finish(self) -> Result<Vec<AnnotatedInstance>, FormatError> {
+        match self.error {
+            Some(error) if self.instances.is_empty() => Err(error),
+            _ => Ok(self.instances),
+        }
+    }
 }
 
 fn instances_in_image(
@@ -95,7 +137,6 @@ fn instances_in_image(
     folder: &Arc<PathBuf>,
 ) -> Result<Vec<AnnotatedInstance>, FormatError> {
     let (width, height) = (width as i32, height as i32);
-    let place = format!("{}: image {im_id}", scene.folder.join("scene_gt.json").display());
     let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
     instances
         .map(|(instance, (gt, info))| {
@@ -105,7 +146,7 @@ fn instances_in_image(
                 im_id,
                 instance,
                 obj_id: gt.obj_id,
-                t_camera_object: gt.pose(&place)?,
+                t_camera_object: scene.pose(im_id, instance)?,
                 visib_fract: info.visib_fract,
                 px_count_visib: info.px_count_visib.into(),
                 scale: (f64::from(width) / 640.0).powi(2),

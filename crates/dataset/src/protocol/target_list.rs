@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, path::PathBuf};
 
 use super::ImageTargets;
 use crate::formats::{
-    BopDataset, BopSplit, FormatError, ReferenceTarget,
+    BopDataset, BopSplit, DatasetSplits, FormatError, ReferenceTarget,
     detections::{Detection, SkippedDetection, read_detections, usable_detections},
     targets::{check_reference_targets, read_reference_targets},
 };
@@ -12,12 +12,8 @@ use crate::formats::{
 /// Files of [`TargetList::open`].
 #[derive(Clone, Debug)]
 pub struct TargetFiles {
-    /// BOP dataset folder.
-    pub dataset: PathBuf,
-    /// Split of the targets; found when `None`.
-    pub split: Option<String>,
-    /// Split of the reference views; that of the targets when `None`.
-    pub reference_split: Option<String>,
+    /// Dataset and splits.
+    pub splits: DatasetSplits,
     /// List of targets with their reference views.
     pub targets: PathBuf,
     /// List of detections.
@@ -46,12 +42,9 @@ pub struct TargetList {
 impl TargetList {
     /// Reads all files and checks them against the annotations.
     pub fn open(files: &TargetFiles) -> Result<Self, FormatError> {
-        let dataset = BopDataset::open(&files.dataset)?;
-        let split = match &files.split {
-            Some(name) => dataset.split(name)?,
-            None => dataset.test_split()?,
-        };
-        let reference_split = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
+        let dataset = files.splits.open()?;
+        let (split, reference_split) =
+            (files.splits.of_targets(&dataset)?, files.splits.of_references(&dataset)?);
         let mut targets = read_reference_targets(&files.targets)?;
         targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
         let place = files.targets.display().to_string();

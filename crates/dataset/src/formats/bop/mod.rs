@@ -1,15 +1,23 @@
 //! Scene-wise BOP datasets: `<split>/SSSSSS/{rgb,gray,depth,mask,mask_visib}/` with `scene_camera.json`,
-//! `scene_gt.json` and `scene_gt_info.json`, models beside the splits.
+//! `scene_gt.json` and `scene_gt_info.json`, models beside the splits. Scenes of several cameras have a name after each of
+//! these, `rgb_SENSOR/` and `scene_camera_SENSOR.json`.
 //!
 //! [`BopDataset`] finds the splits and models, [`BopSplit`] hands out scenes (parsed once, kept) and loads
 //! single images; [`BopSceneWriter`] writes the same layout.
 
+mod entries;
+mod layout;
 mod records;
+mod scene;
+mod selection;
 mod split;
+mod visibility;
 mod writer;
 
 pub use records::{GtInfoRecord, GtRecord};
-pub use split::{BopScene, BopSplit};
+pub use scene::BopScene;
+pub use selection::DatasetSplits;
+pub use split::BopSplit;
 pub use writer::{BopSceneWriter, SceneImage, SceneInstance};
 
 use std::{
@@ -26,6 +34,7 @@ use super::{
 #[derive(Clone, Debug)]
 pub struct BopDataset {
     root: PathBuf,
+    sensor: Option<String>,
 }
 
 impl BopDataset {
@@ -34,7 +43,12 @@ impl BopDataset {
         if !root.is_dir() {
             return Err(FormatError::missing(root.display(), "dataset folder", ""));
         }
-        Ok(Self { root: root.to_path_buf() })
+        Ok(Self { root: root.to_path_buf(), sensor: None })
+    }
+
+    /// With the images of one of several cameras.
+    pub fn with_sensor(self, sensor: Option<String>) -> Self {
+        Self { sensor, ..self }
     }
 
     /// The dataset folder.
@@ -53,7 +67,7 @@ impl BopDataset {
         let entries = std::fs::read_dir(&self.root).map_err(|e| FormatError::io(&self.root, e))?;
         let mut splits: Vec<String> = entries
             .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-            .filter(|name| split::scene_folders(&self.root.join(name)).is_ok_and(|scenes| !scenes.is_empty()))
+            .filter(|name| layout::has_scenes(&self.root.join(name)))
             .collect();
         splits.sort();
         Ok(splits)
@@ -72,7 +86,7 @@ impl BopDataset {
             let found = format!("splits found: {}", self.splits()?.join(", "));
             return Err(FormatError::missing(self.root.display(), format!("split {name}"), found));
         }
-        BopSplit::open(&folder)
+        BopSplit::of_sensor(&folder, self.sensor.as_deref())
     }
 
     /// `test`, else the first split whose name starts with `test` (T-LESS: `test_primesense`), else with `val`; those with
@@ -143,6 +157,14 @@ impl BopDataset {
     /// File of a name inside the dataset folder, e.g. `test_targets_bop19.json`.
     pub fn file(&self, name: &str) -> PathBuf {
         self.root.join(name)
+    }
+
+    /// The list of the targets that results are compared on: BOP's of 2019, else that of 2024, which newer datasets have
+    /// alone.
+    pub fn targets_file(&self) -> PathBuf {
+        let [bop19, bop24] =
+            ["test_targets_bop19.json", "test_targets_bop24.json"].map(|name| self.file(name));
+        if bop24.is_file() && !bop19.is_file() { bop24 } else { bop19 }
     }
 
     fn models_folder(&self) -> Result<PathBuf, FormatError> {

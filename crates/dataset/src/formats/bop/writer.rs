@@ -1,11 +1,12 @@
 //! Writes scenes in the layout [`super::BopSplit`] reads.
 
 use std::{
+    borrow::Cow,
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
 
-use unopose_core::frame::{BoundingBox, Mask, RgbdFrame};
+use unopose_core::frame::{Mask, RgbdFrame};
 use unopose_core::geometry::Pose;
 
 use super::{
@@ -16,6 +17,7 @@ use super::{
         image_io::{write_depth, write_mask, write_rgb},
     },
     GtInfoRecord, GtRecord,
+    visibility::{Silhouette, gt_info},
 };
 
 /// An instance as the writer needs it: the visible part and the whole silhouette.
@@ -81,7 +83,12 @@ impl BopSceneWriter {
         self.cameras.insert(*im_id, CameraRecord::new(&frame.intrinsics, self.depth_scale));
         let gt = instances.iter().map(|i| GtRecord::new(i.obj_id, &i.t_camera_object)).collect();
         self.gt.insert(*im_id, gt);
-        self.gt_info.insert(*im_id, instances.iter().map(|i| gt_info(i, frame)).collect());
+        let info = |instance: &SceneInstance| {
+            let silhouette =
+                Silhouette { mask: Cow::Borrowed(&instance.mask), px_count_all: instance.px_count_all };
+            gt_info(&silhouette, &instance.mask_visib, Some(&frame.depth))
+        };
+        self.gt_info.insert(*im_id, instances.iter().map(info).collect());
         Ok(())
     }
 
@@ -92,25 +99,4 @@ impl BopSceneWriter {
         // Last: a scene without it is not taken for one.
         write_json(&self.folder.join("scene_camera.json"), &self.cameras, false)
     }
-}
-
-fn gt_info(instance: &SceneInstance, frame: &RgbdFrame) -> GtInfoRecord {
-    let px_count_visib = instance.mask_visib.count() as u32;
-    let measured = instance.mask.data.iter().zip(&frame.depth.data).filter(|&(&m, &z)| m && z > 0.0);
-    GtInfoRecord {
-        bbox_obj: bop_box(instance.mask.bounding_box()),
-        bbox_visib: bop_box(instance.mask_visib.bounding_box()),
-        px_count_all: instance.px_count_all,
-        px_count_valid: measured.count() as u32,
-        px_count_visib,
-        visib_fract: f64::from(px_count_visib) / f64::from(instance.px_count_all.max(1)),
-    }
-}
-
-/// x, y, width, height with BOP's width `x_max - x_min` (one less than the number of columns).
-fn bop_box(bounds: Option<BoundingBox>) -> [i32; 4] {
-    bounds.map_or([-1; 4], |b| {
-        let size = |min: u32, max: u32| (max - min - 1) as i32;
-        [b.col_min as i32, b.row_min as i32, size(b.col_min, b.col_max), size(b.row_min, b.row_max)]
-    })
 }
