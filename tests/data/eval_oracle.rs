@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, path::Path, time::Instant};
 
 use serde::Deserialize;
 use unopose_dataset::formats::{
-    BopDataset, detections::read_detections, files::read_json, targets::read_targets,
+    BopDataset, DatasetSplits, detections::read_detections, files::read_json, targets::read_targets,
 };
 use unopose_eval::eval::{Evaluation, RegionKind, ScoreFiles, coco_scores, score_files};
 
@@ -41,12 +41,10 @@ struct OracleErrors {
 fn compare(benchmark: &Path, method: &str, references: Option<&str>) -> Evaluation {
     let oracle = benchmark.join("oracle");
     let files = ScoreFiles {
-        dataset: benchmark.to_path_buf(),
+        splits: DatasetSplits { dataset: benchmark.to_path_buf(), ..DatasetSplits::default() },
         results: oracle.join(format!("{method}_dev-test.csv")),
-        split: None,
         targets: None,
         references: references.map(|name| benchmark.join(name)),
-        reference_split: None,
     };
     let start = Instant::now();
     let evaluation = score_files(&files, &|_, _| {}).unwrap();

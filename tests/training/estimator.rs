@@ -6,7 +6,7 @@ use burn::tensor::TensorData;
 use unopose_core::{config::Config, frame::Mask};
 use unopose_dataset::{
     formats::{
-        ReferenceTarget, Target,
+        DatasetSplits, ReferenceTarget, Target,
         bop::{BopSceneWriter, SceneImage, SceneInstance},
         detections::{Detection, write_detections},
         results::read_results,
@@ -260,9 +260,7 @@ fn bop_folder(root: &Path) -> TargetList {
     ];
     write_detections(&root.join("detections.json"), &detections).unwrap();
     TargetList::open(&TargetFiles {
-        dataset: root.to_owned(),
-        split: None,
-        reference_split: None,
+        splits: DatasetSplits { dataset: root.to_owned(), ..DatasetSplits::default() },
         targets: root.join("references.json"),
         detections: root.join("detections.json"),
         limit: None,

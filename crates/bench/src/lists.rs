@@ -9,7 +9,7 @@ use std::{
 use rayon::prelude::*;
 use unopose_dataset::{
     formats::{
-        BopDataset, BopSplit, FormatError, ReferenceTarget, Target,
+        BopDataset, BopSplit, DatasetSplits, FormatError, ReferenceTarget, Target,
         detections::{Detection, read_detections, visible_instances},
         targets::{read_reference_targets, read_targets, write_targets},
     },
@@ -23,12 +23,8 @@ use super::{BenchError, DetectionSource, UnoSegMasks, facts::ListFacts, rendered
 /// What a benchmark is run on.
 #[derive(Clone, Debug)]
 pub struct ListRequest {
-    /// BOP dataset folder.
-    pub dataset: PathBuf,
-    /// Split of the targets; found when `None`.
-    pub split: Option<String>,
-    /// Split of the reference views; that of the paper's benchmark, or of the targets, when `None`.
-    pub reference_split: Option<String>,
+    /// Dataset and splits; without a split of the references that of the paper's benchmark, else that of the targets.
+    pub splits: DatasetSplits,
     /// A list to use instead of the protocols' own.
     pub targets: Option<PathBuf>,
     /// Masks of the targets.
@@ -61,7 +57,7 @@ impl ListRequest {
     /// The lists of some protocols, one after the other. Lists that were built are written into `folder`, which rendered
     /// references go to as well.
     pub fn prepare(&self, protocols: &[Protocol], folder: &Path) -> Result<Vec<PreparedList>, BenchError> {
-        let dataset = BopDataset::open(&self.dataset)?;
+        let dataset = self.splits.open()?;
         let all = match &self.targets {
             Some(path) => vec![self.read(path, list_name(path))?],
             None => self.of_protocols(&dataset, protocols, folder)?,
@@ -69,15 +65,8 @@ impl ListRequest {
         all.into_iter().map(|entries| self.prepared(entries, folder)).collect()
     }
 
-    fn split(&self, dataset: &BopDataset) -> Result<BopSplit, FormatError> {
-        match &self.split {
-            Some(name) => dataset.split(name),
-            None => dataset.test_split(),
-        }
-    }
-
     fn reference_split(&self, dataset: &BopDataset) -> Result<Option<BopSplit>, FormatError> {
-        let name = self.reference_split.as_deref().or_else(|| dataset.reference_split_name());
+        let name = self.splits.reference_split.as_deref().or_else(|| dataset.reference_split_name());
         name.map(|name| dataset.split(name)).transpose()
     }
 
@@ -105,7 +94,7 @@ impl ListRequest {
         let absent: Vec<Protocol> = protocols.iter().copied().filter(|p| !file(p).is_file()).collect();
         let mut built = HashMap::new();
         if !absent.is_empty() {
-            let (split, reference_split) = (self.split(dataset)?, self.reference_split(dataset)?);
+            let (split, reference_split) = (self.splits.of_targets(dataset)?, self.reference_split(dataset)?);
             let bop = dataset.file("test_targets_bop19.json");
             let targets = bop.is_file().then(|| read_targets(&bop)).transpose()?;
             let (infos, meshes) = (dataset.models_info()?, eval_meshes(dataset, targets.as_deref())?);
@@ -146,8 +135,8 @@ impl ListRequest {
     }
 
     fn prepared(&self, mut list: Entries, folder: &Path) -> Result<PreparedList, BenchError> {
-        let dataset = BopDataset::open(&self.dataset)?;
-        let split = self.split(&dataset)?;
+        let dataset = self.splits.open()?;
+        let split = self.splits.of_targets(&dataset)?;
         let mut reference_split = self.reference_split(&dataset)?;
         list.entries.truncate(self.limit.unwrap_or(usize::MAX).max(1));
         if self.rendered {

@@ -65,12 +65,11 @@ fn draw(
 ) -> Result<SceneImage, BenchError> {
     let annotated = real.scene(scene_id)?;
     let (width, height) = annotated.image_size(im_id)?;
-    let place = format!("{}: image {im_id}", annotated.folder.join("scene_gt.json").display());
     let (mut obj_ids, mut objects) = (Vec::new(), Vec::new());
-    for gt in annotated.gt(im_id)? {
+    for (instance, gt) in annotated.gt(im_id)?.iter().enumerate() {
         if let Some(mesh) = meshes.get(&gt.obj_id) {
             obj_ids.push(gt.obj_id);
-            objects.push((mesh.clone(), gt.pose(&place)?));
+            objects.push((mesh.clone(), annotated.pose(im_id, instance)?));
         }
     }
     let view = posed_view(&objects, annotated.camera(im_id)?.intrinsics, [width, height]);

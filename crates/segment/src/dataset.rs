@@ -76,11 +76,13 @@ pub fn segment_targets<M: Matcher>(
         let kept = read_json::<StoredImage>(&path).ok().filter(|kept| kept.key == key);
         let kept = match kept {
             Some(kept) => kept,
-            None => {
-                let kept = image(unoseg, &mut objects, key, (scene_id, im_id), split, wanted)?;
-                write_json(&path, &kept, false)?;
-                kept
-            }
+            None => match image(unoseg, &mut objects, key, (scene_id, im_id), split, wanted)? {
+                Some(kept) => {
+                    write_json(&path, &kept, false)?;
+                    kept
+                }
+                None => continue,
+            },
         };
         all.detections.extend(kept.detections);
         all.proposals.extend(kept.proposals);
@@ -92,6 +94,7 @@ pub fn segment_targets<M: Matcher>(
     Ok(all)
 }
 
+/// `None`, with a warning, for an image that cannot be read.
 fn image<M: Matcher>(
     unoseg: &UnoSeg<'_, M>,
     objects: &mut ObjectCache<'_, M>,
@@ -99,8 +102,14 @@ fn image<M: Matcher>(
     (scene_id, im_id): (u32, u32),
     split: &BopSplit,
     wanted: &[&ReferenceTarget],
-) -> Result<StoredImage, SegmentError> {
-    let frame = split.scene(scene_id)?.frame(im_id)?;
+) -> Result<Option<StoredImage>, SegmentError> {
+    let frame = match split.scene(scene_id)?.frame(im_id) {
+        Ok(frame) => frame,
+        Err(error) => {
+            tracing::warn!("{error}: nothing is found in scene {scene_id} image {im_id}");
+            return Ok(None);
+        }
+    };
     let mut usable: Vec<(u32, Arc<M::Object>)> = Vec::new();
     for target in wanted {
         if let Some(object) = objects.get(target)? {
@@ -118,13 +127,13 @@ fn image<M: Matcher>(
     let proposals = found.proposals.iter().map(|proposal| {
         proposal.detection(scene_id, im_id, 0, f64::from(proposal.score), found.proposal_seconds)
     });
-    Ok(StoredImage {
+    Ok(Some(StoredImage {
         key,
         detections: detections.collect(),
         proposals: proposals.collect(),
         seconds: found.seconds,
         proposal_seconds: found.proposal_seconds,
-    })
+    }))
 }
 
 fn fingerprint(method: &str, scene: &Path, im_id: u32, wanted: &[ObjectKey]) -> String {

@@ -7,7 +7,11 @@ use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_infer::PoseCriterion;
 
-use super::{calibrate::describe, options::EstimatorOptions, progress::ProgressDisplay};
+use super::{
+    calibrate::describe,
+    options::{EstimatorOptions, SplitOptions},
+    progress::ProgressDisplay,
+};
 
 #[derive(Args)]
 pub struct AnalyseArguments {
@@ -23,12 +27,8 @@ pub struct AnalyseArguments {
     /// Folder for findings.md, pairs.json and, with a calibration, reliability.svg and risk.svg
     #[arg(long, value_name = "DIR", default_value = "analysis")]
     out: PathBuf,
-    /// Split of the targets [default: test, or the first that begins so]
-    #[arg(long)]
-    split: Option<String>,
-    /// Split of the reference views [default: that of the targets]
-    #[arg(long)]
-    reference_split: Option<String>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
@@ -38,9 +38,7 @@ pub struct AnalyseArguments {
 
 pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
     let list = TargetList::open(&TargetFiles {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: arguments.reference_split.clone(),
+        splits: arguments.splits.of(&arguments.dataset),
         targets: arguments.targets.clone(),
         detections: arguments.detections.clone(),
         limit: arguments.limit,

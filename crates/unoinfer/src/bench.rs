@@ -14,7 +14,7 @@ use unopose_bench::{
 };
 use unopose_cli::DeviceOption;
 use unopose_dataset::{
-    formats::{BopDataset, PhoneSequence},
+    formats::PhoneSequence,
     protocol::{Protocol, REFERENCE_COUNTS},
 };
 use unopose_infer::{PoseEstimator, Refinement};
@@ -22,9 +22,10 @@ use unopose_pairs::registration::{CLASSICAL_METHODS, classical_method};
 use unopose_segment::{AnyMatcher, Matcher, ProposalGenerator};
 
 use super::{
+    options::SplitOptions,
     progress::ProgressDisplay,
     proposals::{EMBEDDED, FOR_UNOSEG, check_sam_points, generator},
-    segment_dataset::{DatasetFiles, segment_dataset},
+    segment_dataset::{DatasetFiles, NOT_SCORED, segment_dataset},
 };
 
 /// Name of the network among the methods.
@@ -85,13 +86,8 @@ pub struct BenchArguments {
     /// Folder for the tables, the page and the results from which a later call resumes
     #[arg(long, value_name = "DIR", default_value = "bench")]
     out: PathBuf,
-    /// Split of the targets [default: test, or the first that begins so]
-    #[arg(long)]
-    split: Option<String>,
-    /// Split of the reference views, several separated by commas [default: train_real for TUD-L and YCB-V, else that of the
-    /// targets]
-    #[arg(long)]
-    reference_split: Option<String>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Targets that recall counts [default: those of the list]
     #[arg(long, value_name = "JSON")]
     score_targets: Option<PathBuf>,
@@ -142,9 +138,7 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
             _ => arguments.out.clone(),
         };
         let request = ListRequest {
-            dataset: arguments.dataset.clone(),
-            split: arguments.split.clone(),
-            reference_split: arguments.reference_split.clone(),
+            splits: arguments.splits.of(&arguments.dataset),
             targets: arguments.targets.clone(),
             detections,
             limit: arguments.limit,
@@ -214,16 +208,11 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
     if names.len() < sources.len() {
         bail!("--proposals has several sources of one name among {names:?}, expected different ones");
     }
-    let dataset = BopDataset::open(&arguments.dataset)?;
-    let reference_split = arguments.reference_split.as_deref().or_else(|| dataset.reference_split_name());
-    let files = DatasetFiles {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: reference_split.map(str::to_owned),
-        targets,
-        limit: arguments.limit,
-        templates: None,
-    };
+    let mut splits = arguments.splits.of(&arguments.dataset);
+    if splits.reference_split.is_none() {
+        splits.reference_split = splits.open()?.reference_split_name().map(str::to_owned);
+    }
+    let files = DatasetFiles { splits, targets, limit: arguments.limit, templates: None };
     let estimator = match arguments.checkpoint.first() {
         Some(path) => PoseEstimator::load(path, device)?,
         None => PoseEstimator::load_default(device)?,
@@ -233,6 +222,7 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
     let found = |source: &dyn ProposalGenerator| {
         let out = arguments.out.join("segmentation").join(source.name());
         let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
+        let scores = scores.with_context(|| format!("{}: {NOT_SCORED}", arguments.dataset.display()))?;
         Ok(UnoSegMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
     };
     sources.iter().map(|source| found(source.as_ref())).collect()

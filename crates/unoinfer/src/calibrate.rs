@@ -6,7 +6,10 @@ use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
 use unopose_cli::DeviceOption;
-use unopose_dataset::protocol::{TargetFiles, TargetList};
+use unopose_dataset::{
+    formats::DatasetSplits,
+    protocol::{TargetFiles, TargetList},
+};
 use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
@@ -40,9 +43,7 @@ pub struct CalibrateArguments {
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     let file = |given: &Option<PathBuf>, name: &str| given.clone().unwrap_or(arguments.dataset.join(name));
     let list = TargetList::open(&TargetFiles {
-        dataset: arguments.dataset.clone(),
-        split: None,
-        reference_split: None,
+        splits: DatasetSplits { dataset: arguments.dataset.clone(), ..DatasetSplits::default() },
         targets: file(&arguments.targets, "test_ref_targets_crossscene_rot90.json"),
         detections: file(&arguments.detections, "dets_gt.json"),
         limit: None,

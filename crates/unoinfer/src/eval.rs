@@ -5,11 +5,8 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use clap::Args;
 use unopose_bench::{DetectionSource, ListRequest};
-use unopose_dataset::{
-    formats::BopDataset,
-    protocol::{TargetFiles, TargetList},
-};
-use unopose_eval::eval::{score_poses, write_poses};
+use unopose_dataset::protocol::{TargetFiles, TargetList};
+use unopose_eval::eval::{EvalError, score_poses, write_poses};
 use unopose_infer::{
     PoseEstimator, Refinement, estimate_targets,
     experiment::{ReferenceColor, untrained},
@@ -17,11 +14,11 @@ use unopose_infer::{
 use unopose_segment::AnyMatcher;
 
 use super::{
-    options::EstimatorOptions,
+    options::{EstimatorOptions, SplitOptions},
     progress::ProgressDisplay,
     proposals::{FOR_UNOSEG, ProposalOptions},
     score,
-    segment_dataset::{DatasetFiles, segment_dataset},
+    segment_dataset::{DatasetFiles, NOT_SCORED, segment_dataset},
 };
 
 #[derive(Args)]
@@ -44,12 +41,8 @@ pub struct EvalArguments {
     /// Folder for the result table, scores.json, errors.json and rejected.json
     #[arg(long, value_name = "DIR", default_value = "eval")]
     out: PathBuf,
-    /// Split of the targets [default: test, or the first that begins so]
-    #[arg(long)]
-    split: Option<String>,
-    /// Split of the reference views [default: that of the targets]
-    #[arg(long)]
-    reference_split: Option<String>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Targets that recall counts [default: those of --targets]
     #[arg(long, value_name = "JSON")]
     score_targets: Option<PathBuf>,
@@ -90,10 +83,18 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let table = write_poses(&list, &poses, &method, &arguments.out)?;
     let progress = ProgressDisplay::new("scoring");
     let show = |done, total| progress.set(done, total);
-    let evaluation = score_poses(&list, &poses, arguments.score_targets.as_deref(), &show)?;
+    let evaluation = match score_poses(&list, &poses, arguments.score_targets.as_deref(), &show) {
+        Err(EvalError::NoAnnotations { .. }) => None,
+        scored => Some(scored?),
+    };
     progress.finish();
-    evaluation.write(&arguments.out)?;
-    score::print(&evaluation);
+    match &evaluation {
+        Some(evaluation) => {
+            evaluation.write(&arguments.out)?;
+            score::print(evaluation);
+        }
+        None => println!("{NOT_SCORED}"),
+    }
     let (references, seconds) = (poses.references, poses.reference_seconds);
     println!(
         "{} pairs, {references} references ({:.3} s each, included above)",
@@ -104,7 +105,10 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         println!("{} without a pose:", poses.rejections.len());
         poses.reasons().iter().for_each(|(reason, count)| println!("  {count} x {reason}"));
     }
-    println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
+    match evaluation {
+        Some(_) => println!("{} and {}", table.display(), arguments.out.join("scores.json").display()),
+        None => println!("{}", table.display()),
+    }
     Ok(())
 }
 
@@ -115,9 +119,7 @@ fn target_list(arguments: &EvalArguments, estimator: &PoseEstimator) -> anyhow::
         DetectionSource::File(path) => path.clone(),
         DetectionSource::UnoSeg(()) => {
             let files = DatasetFiles {
-                dataset: arguments.dataset.clone(),
-                split: arguments.split.clone(),
-                reference_split: arguments.reference_split.clone(),
+                splits: arguments.splits.of(&arguments.dataset),
                 targets: arguments.targets.clone(),
                 limit: arguments.limit,
                 templates: None,
@@ -128,9 +130,7 @@ fn target_list(arguments: &EvalArguments, estimator: &PoseEstimator) -> anyhow::
         }
     };
     Ok(TargetList::open(&TargetFiles {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: arguments.reference_split.clone(),
+        splits: arguments.splits.of(&arguments.dataset),
         targets: arguments.targets.clone(),
         detections,
         limit: arguments.limit,
@@ -140,14 +140,12 @@ fn target_list(arguments: &EvalArguments, estimator: &PoseEstimator) -> anyhow::
 /// The targets with their annotated visible masks, as the benchmark takes them.
 fn annotated_list(arguments: &EvalArguments) -> anyhow::Result<TargetList> {
     // Without a name the references come from the targets' split; the benchmark has another default.
-    let reference_split = match arguments.reference_split.as_ref().or(arguments.split.as_ref()) {
-        Some(name) => name.clone(),
-        None => BopDataset::open(&arguments.dataset)?.test_split()?.name(),
-    };
+    let mut splits = arguments.splits.of(&arguments.dataset);
+    if splits.reference_split.is_none() {
+        splits.reference_split = Some(splits.of_targets(&splits.open()?)?.name());
+    }
     let request = ListRequest {
-        dataset: arguments.dataset.clone(),
-        split: arguments.split.clone(),
-        reference_split: Some(reference_split),
+        splits,
         targets: Some(arguments.targets.clone()),
         detections: DetectionSource::GroundTruth,
         limit: arguments.limit,

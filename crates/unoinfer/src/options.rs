@@ -1,12 +1,39 @@
-//! What `estimate` and `eval` share.
+//! What several commands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use unopose_cli::DeviceOption;
 use unopose_core::config::Precision;
+use unopose_dataset::formats::DatasetSplits;
 use unopose_infer::{InferError, PoseEstimator, Refinement};
 use unopose_nn::device::DeviceChoice;
+
+/// Which images of a BOP dataset.
+#[derive(Args)]
+pub struct SplitOptions {
+    /// Split of the targets [default: test, or the first that begins so]
+    #[arg(long)]
+    split: Option<String>,
+    /// Split of the reference views, several separated by commas [default: that of the targets; of bench train_real for
+    /// TUD-L and YCB-V]
+    #[arg(long)]
+    reference_split: Option<String>,
+    /// Camera of scenes with several, as cam1 in rgb_cam1 and scene_camera_cam1.json
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
+}
+
+impl SplitOptions {
+    pub fn of(&self, dataset: &Path) -> DatasetSplits {
+        DatasetSplits {
+            dataset: dataset.to_owned(),
+            split: self.split.clone(),
+            reference_split: self.reference_split.clone(),
+            sensor: self.sensor.clone(),
+        }
+    }
+}
 
 /// The network and how it runs.
 #[derive(Args)]

@@ -7,17 +7,14 @@ use std::{
 
 use clap::Args;
 use unopose_dataset::formats::{
-    BopDataset,
-    detections::read_detections,
-    files::write_json,
-    targets::{check_targets, read_targets},
+    detections::read_detections, files::write_json, targets::read_annotated_targets,
 };
 use unopose_eval::eval::{
     AverageRecall, CocoScores, Evaluation, Interval, RegionKind, ScoreFiles, average_recall_interval,
     coco_scores, error_type_intervals, score_files,
 };
 
-use super::progress::ProgressDisplay;
+use super::{options::SplitOptions, progress::ProgressDisplay};
 
 #[derive(Args)]
 pub struct ScoreArguments {
@@ -30,18 +27,15 @@ pub struct ScoreArguments {
     /// Detections to score as in COCO: scene_id, image_id, category_id, bbox, score, time, segmentation
     #[arg(long, value_name = "JSON")]
     detections: Option<PathBuf>,
-    /// Target list [default: test_targets_bop19.json of the dataset]
+    /// Target list; one of images alone (BOP's of 2024) asks for every object that is annotated in them [default:
+    /// test_targets_bop19.json of the dataset, else test_targets_bop24.json]
     #[arg(long, value_name = "JSON")]
     targets: Option<PathBuf>,
     /// List of references for the rotation bins [default: the target list when it names references]
     #[arg(long, value_name = "JSON")]
     references: Option<PathBuf>,
-    /// Split of the targets [default: test, or the first that begins so]
-    #[arg(long)]
-    split: Option<String>,
-    /// Split of the reference views [default: that of the targets]
-    #[arg(long)]
-    reference_split: Option<String>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Folder for scores.json and errors.json, and coco.json of detections
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -59,12 +53,10 @@ pub fn run(arguments: &ScoreArguments) -> anyhow::Result<()> {
 
 fn poses(arguments: &ScoreArguments, results: &Path) -> anyhow::Result<()> {
     let files = ScoreFiles {
-        dataset: arguments.dataset.clone(),
+        splits: arguments.splits.of(&arguments.dataset),
         results: results.to_owned(),
-        split: arguments.split.clone(),
         targets: arguments.targets.clone(),
         references: arguments.references.clone(),
-        reference_split: arguments.reference_split.clone(),
     };
     let progress = ProgressDisplay::new("scoring");
     let evaluation = score_files(&files, &|done, total| progress.set(done, total))?;
@@ -81,14 +73,11 @@ const RESAMPLES: (usize, u64) = (2000, 0);
 
 /// mAP of the masks and of the boxes.
 fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
-    let dataset = BopDataset::open(&arguments.dataset)?;
-    let split = match &arguments.split {
-        Some(name) => dataset.split(name)?,
-        None => dataset.test_split()?,
-    };
-    let list = arguments.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
-    let targets = read_targets(&list)?;
-    check_targets(&targets, &list.display().to_string(), &split)?;
+    let splits = arguments.splits.of(&arguments.dataset);
+    let dataset = splits.open()?;
+    let split = splits.of_targets(&dataset)?;
+    let list = arguments.targets.clone().unwrap_or_else(|| dataset.targets_file());
+    let targets = read_annotated_targets(&list, &split)?;
     let detections = read_detections(path)?;
     let mut all: BTreeMap<&str, CocoScores> = BTreeMap::new();
     for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {

@@ -20,7 +20,7 @@ use unopose_segment::{AnyMatcher, Prompt, Proposal};
 
 use super::{
     mask_finder::{MaskFinder, not_found},
-    options::EstimatorOptions,
+    options::{EstimatorOptions, SplitOptions},
     proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
@@ -60,12 +60,8 @@ pub struct SegmentArguments {
     /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id
     #[arg(long, value_name = "JSON")]
     targets: Option<PathBuf>,
-    /// Split of the targets [default: test, or the first that begins so]
-    #[arg(long)]
-    split: Option<String>,
-    /// Split of the reference views [default: that of the targets]
-    #[arg(long)]
-    reference_split: Option<String>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Only the first N entries of the target list
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
@@ -89,9 +85,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let generator = arguments.proposals.generator(arguments.estimator.device())?;
     if let (Some(dataset), Some(targets)) = (&arguments.dataset, &arguments.targets) {
         let files = DatasetFiles {
-            dataset: dataset.clone(),
-            split: arguments.split.clone(),
-            reference_split: arguments.reference_split.clone(),
+            splits: arguments.splits.of(dataset),
             targets: targets.clone(),
             limit: arguments.limit,
             templates: arguments.templates,

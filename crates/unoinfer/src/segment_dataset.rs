@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use unopose_dataset::formats::{
-    BopDataset,
+    BopSplit, DatasetSplits, Target,
     detections::write_detections,
     targets::{read_reference_targets, read_targets},
 };
@@ -12,11 +12,12 @@ use unopose_segment::{Matcher, ObjectViews, ProposalGenerator, Templates, UnoSeg
 
 use super::progress::ProgressDisplay;
 
+/// What is said of images whose true poses and masks are kept secret.
+pub const NOT_SCORED: &str = "no annotations: not scored";
+
 /// Files of [`segment_dataset`].
 pub struct DatasetFiles {
-    pub dataset: PathBuf,
-    pub split: Option<String>,
-    pub reference_split: Option<String>,
+    pub splits: DatasetSplits,
     pub targets: PathBuf,
     pub limit: Option<usize>,
     /// Templates of each object's model instead of its reference view.
@@ -24,19 +25,15 @@ pub struct DatasetFiles {
 }
 
 /// Detects all targets, writes `detections.json`, `proposals.json` and `scores.json` to `out` and returns the first's path
-/// and the last's content.
+/// and the last's content, which images without annotations have not.
 pub fn segment_dataset<M: Matcher>(
     files: &DatasetFiles,
     generator: &dyn ProposalGenerator,
     matcher: &M,
     out: &Path,
-) -> anyhow::Result<(PathBuf, SegmentationScores)> {
-    let dataset = BopDataset::open(&files.dataset)?;
-    let split = match &files.split {
-        Some(name) => dataset.split(name)?,
-        None => dataset.test_split()?,
-    };
-    let other = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
+) -> anyhow::Result<(PathBuf, Option<SegmentationScores>)> {
+    let dataset = files.splits.open()?;
+    let (split, other) = (files.splits.of_targets(&dataset)?, files.splits.of_references(&dataset)?);
     let templates = files.templates.map(|count| Templates::new(&dataset, count)).transpose()?;
     let views = match &templates {
         Some(templates) => ObjectViews::Templates(templates),
@@ -59,6 +56,10 @@ pub fn segment_dataset<M: Matcher>(
     all.retain(|t| {
         targets.iter().any(|r| (r.scene_id, r.im_id, r.obj_id) == (t.scene_id, t.im_id, t.obj_id))
     });
+    if !any_annotated(&split, &all)? {
+        println!("{NOT_SCORED}\n{}", path.display());
+        return Ok((path, None));
+    }
     let seconds = [found.seconds.as_slice(), &found.proposal_seconds];
     let scores = score_segmentation(&split, &all, &found.detections, &found.proposals, seconds)?;
     scores.write(&out.join("scores.json"))?;
@@ -75,5 +76,14 @@ pub fn segment_dataset<M: Matcher>(
         scores.mean_proposal_time_per_image_s
     );
     println!("{}", path.display());
-    Ok((path, scores))
+    Ok((path, Some(scores)))
+}
+
+fn any_annotated(split: &BopSplit, targets: &[Target]) -> anyhow::Result<bool> {
+    for target in targets {
+        if split.scene(target.scene_id)?.is_annotated(target.im_id) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }

@@ -131,13 +131,12 @@ fn instance(
     target: &ReferenceTarget,
     mask: &Mask,
 ) -> Result<Option<(f64, Pose)>, FormatError> {
-    let place = format!("{}: image {}", scene.folder.join("scene_gt.json").display(), target.im_id);
     let mut best: Option<(f64, f64, Pose)> = None;
     for (index, (gt, info)) in scene.gt(target.im_id)?.iter().zip(scene.gt_info(target.im_id)?).enumerate() {
         if gt.obj_id == target.obj_id {
             let iou = scene.mask_visib(target.im_id, index)?.iou(mask);
             if best.as_ref().is_none_or(|b| iou > b.0) {
-                best = Some((iou, info.visib_fract, gt.pose(&place)?));
+                best = Some((iou, info.visib_fract, scene.pose(target.im_id, index)?));
             }
         }
     }

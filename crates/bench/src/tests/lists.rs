@@ -1,7 +1,7 @@
 //! Lists that are built, read or refused, and rendered references.
 
 use unopose_dataset::{
-    formats::{ReferenceTarget, Target, targets::write_targets},
+    formats::{DatasetSplits, ReferenceTarget, Target, targets::write_targets},
     protocol::{Protocol, TargetFiles, TargetList},
 };
 
@@ -15,9 +15,7 @@ fn lists_are_built_and_references_rendered() {
     let target = |im_id| Target { scene_id: 1, im_id, obj_id: 1, inst_count: 1 };
     write_targets(&root.join("test_targets_bop19.json"), &[target(1), target(2)]).unwrap();
     let request = ListRequest {
-        dataset: root.clone(),
-        split: None,
-        reference_split: None,
+        splits: DatasetSplits { dataset: root.clone(), ..DatasetSplits::default() },
         targets: None,
         detections: DetectionSource::GroundTruth,
         limit: None,
@@ -82,9 +80,7 @@ fn lists_that_name_what_is_not_there_are_refused() {
     ] {
         write_targets(&root.join("bad.json"), &[good.clone(), bad]).unwrap();
         let files = TargetFiles {
-            dataset: root.clone(),
-            split: None,
-            reference_split: None,
+            splits: DatasetSplits { dataset: root.clone(), ..DatasetSplits::default() },
             targets: root.join("bad.json"),
             detections: root.join("dets.json"),
             limit: None,

@@ -19,7 +19,7 @@ use unopose_core::{
 };
 use unopose_dataset::{
     formats::{
-        ModelInfo, ObjectSymmetries, ReferenceTarget,
+        DatasetSplits, ModelInfo, ObjectSymmetries, ReferenceTarget,
         bop::{BopSceneWriter, SceneImage, SceneInstance},
         detections::{Detection, write_detections},
         models::write_models_info,
@@ -100,9 +100,7 @@ fn write_dataset(folder: &Path) -> TargetList {
     let small = Mask { data: vec![true; 100], ..Mask::empty(10, 10) };
     write_detections(&root.join("dets.json"), &[detection(1, &mask), detection(2, &small)]).unwrap();
     TargetList::open(&TargetFiles {
-        dataset: root.to_path_buf(),
-        split: None,
-        reference_split: None,
+        splits: DatasetSplits { dataset: root.to_path_buf(), ..DatasetSplits::default() },
         targets: root.join("targets.json"),
         detections: root.join("dets.json"),
         limit: None,

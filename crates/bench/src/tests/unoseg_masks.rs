@@ -3,7 +3,7 @@
 use std::sync::atomic::AtomicUsize;
 
 use unopose_dataset::{
-    formats::{Target, detections::read_detections},
+    formats::{DatasetSplits, Target, detections::read_detections},
     protocol::Protocol,
 };
 use unopose_eval::eval::score_segmentation;
@@ -29,9 +29,7 @@ fn unoseg_masks_are_a_table_of_the_page() {
         detections: root.join("dets.json"),
     };
     let request = ListRequest {
-        dataset: root.clone(),
-        split: None,
-        reference_split: None,
+        splits: DatasetSplits { dataset: root.clone(), ..DatasetSplits::default() },
         targets: Some(root.join("targets.json")),
         detections: DetectionSource::UnoSeg(row("embedded")),
         limit: None,

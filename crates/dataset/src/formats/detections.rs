@@ -99,27 +99,44 @@ pub(crate) fn usable_detections(
     Ok((usable, skipped))
 }
 
-/// The true segmentation: visible masks of the targets' instances, the most visible ones where there are more.
+/// The true segmentation: visible masks of the targets' instances, the most visible ones where there are more. Targets whose
+/// annotation or masks cannot be read have none, each with a warning; an error when that is all of them.
 pub fn visible_instances(split: &BopSplit, targets: &[Target]) -> Result<Vec<Detection>, FormatError> {
-    let mut detections = Vec::new();
+    let (mut detections, mut broken) = (Vec::new(), None);
     for target in targets {
-        let (scene, im_id) = (split.scene(target.scene_id)?, target.im_id);
-        let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
-        let mut of_object: Vec<_> = instances.filter(|(_, (gt, _))| gt.obj_id == target.obj_id).collect();
-        of_object.sort_by(|(_, (_, a)), (_, (_, b))| b.visib_fract.total_cmp(&a.visib_fract));
-        for (index, (_, info)) in of_object.into_iter().take(target.inst_count as usize) {
-            detections.push(Detection {
-                scene_id: target.scene_id,
-                image_id: im_id,
-                category_id: target.obj_id,
-                bbox: info.bbox_visib.map(f64::from),
-                score: 1.0,
-                time: 0.0,
-                segmentation: Rle::encode_compressed(&scene.mask_visib(im_id, index)?),
-            });
+        match instances_of_target(split, target) {
+            Ok(instances) => detections.extend(instances),
+            Err(error) => {
+                let Target { scene_id, im_id, obj_id, .. } = target;
+                tracing::warn!("scene {scene_id} image {im_id} object {obj_id} has no mask: {error}");
+                broken = Some(error);
+            }
         }
     }
-    Ok(detections)
+    match broken {
+        Some(error) if detections.is_empty() => Err(error),
+        _ => Ok(detections),
+    }
+}
+
+fn instances_of_target(split: &BopSplit, target: &Target) -> Result<Vec<Detection>, FormatError> {
+    let (scene, im_id) = (split.scene(target.scene_id)?, target.im_id);
+    let instances = scene.gt(im_id)?.iter().zip(scene.gt_info(im_id)?).enumerate();
+    let mut of_object: Vec<_> = instances.filter(|(_, (gt, _))| gt.obj_id == target.obj_id).collect();
+    of_object.sort_by(|(_, (_, a)), (_, (_, b))| b.visib_fract.total_cmp(&a.visib_fract));
+    let best = of_object.into_iter().take(target.inst_count as usize);
+    best.map(|(index, (_, info))| {
+        Ok(Detection {
+            scene_id: target.scene_id,
+            image_id: im_id,
+            category_id: target.obj_id,
+            bbox: info.bbox_visib.map(f64::from),
+            score: 1.0,
+            time: 0.0,
+            segmentation: Rle::encode_compressed(&scene.mask_visib(im_id, index)?),
+        })
+    })
+    .collect()
 }
 
 impl Detection {

@@ -10,7 +10,7 @@ use unopose_dataset::{
         Target,
         files::write_json,
         results::{result_file_name, write_results},
-        targets::read_targets,
+        targets::{read_annotated_targets, read_targets},
     },
     protocol::{TargetList, TargetPoses},
 };
@@ -19,7 +19,7 @@ use super::{
     EvalError,
     bins::RotationBins,
     options::ScoreOptions,
-    scoring::{Evaluation, score_results},
+    scoring::{Evaluation, annotated, score_results},
 };
 
 /// The dataset's own list of targets.
@@ -39,7 +39,8 @@ pub fn write_poses(
 }
 
 /// Scores the poses of a target list. Recall counts the targets of `score_targets` when given, else those of the list
-/// (with the number of instances that the dataset's own list gives them).
+/// (with the number of instances that the dataset's own list gives them). [`EvalError::NoAnnotations`] where the true poses
+/// are not known.
 pub fn score_poses(
     list: &TargetList,
     poses: &TargetPoses,
@@ -47,9 +48,10 @@ pub fn score_poses(
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Evaluation, EvalError> {
     let targets = match score_targets {
-        Some(path) => read_targets(path)?,
+        Some(path) => read_annotated_targets(path, &list.split)?,
         None => targets_of(list)?,
     };
+    let targets = annotated(&list.split, targets)?;
     let rotations = RotationBins::new(&list.targets, &list.dataset, &list.split, list.reference_split())?;
     let options =
         ScoreOptions { rotations: Some(&rotations), progress, ..ScoreOptions::for_dataset(&list.dataset) };

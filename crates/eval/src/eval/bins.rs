@@ -45,6 +45,10 @@ impl RotationBins {
                 (None, Some(info)) => {
                     let query = target_split.scene(target.scene_id)?;
                     let reference = reference_split.scene(target.ref_scene_id)?;
+                    if query.gt(target.im_id).is_err() || reference.gt(target.ref_im_id).is_err() {
+                        // Hidden or broken; who needs it says so.
+                        continue;
+                    }
                     let (_, t_query) = query.most_visible(target.im_id, target.obj_id)?;
                     let (_, t_reference) = reference.most_visible(target.ref_im_id, target.obj_id)?;
                     info.symmetries.rotation_distance_deg(&t_query, &t_reference)

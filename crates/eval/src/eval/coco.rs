@@ -9,7 +9,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use unopose_dataset::formats::{BopSplit, Foreground, Target, detections::Detection};
+use unopose_dataset::formats::{
+    BopSplit, Foreground, Target, detections::Detection, targets::MIN_VISIBILITY,
+};
 
 use super::{
     EvalError,
@@ -21,8 +23,6 @@ use super::{
 const THRESHOLDS: usize = 10;
 /// Best detections of an object in an image that count.
 const MAX_DETECTIONS: usize = 100;
-/// Visible share below which ground truth is ignored.
-pub const MIN_VISIBILITY: f64 = 0.1;
 
 /// Where an instance is.
 #[derive(Clone, Debug, PartialEq)]

@@ -32,6 +32,12 @@ pub enum EvalError {
         /// Object id of the target.
         obj_id: u32,
     },
+    /// Targets whose poses are kept secret, as in the test images of some datasets.
+    #[error("{file}: no annotation of the targets' images: nothing to score with")]
+    NoAnnotations {
+        /// `scene_gt.json` of the first of them, which is absent or lacks the image.
+        file: String,
+    },
     /// An empty list of targets.
     #[error("no targets to score")]
     NoTargets,

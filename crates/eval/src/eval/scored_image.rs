@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use unopose_core::geometry::Pose;
-use unopose_dataset::formats::{BopScene, PoseResult, Target};
+use unopose_dataset::formats::{BopScene, PoseResult, Target, targets::MIN_VISIBILITY};
 
 use super::{
     EvalError, EvalObject, PoseErrors, REFERENCE_WIDTH, TargetOutcome,
-    coco::MIN_VISIBILITY,
     matching::top,
     options::ScoreOptions,
     outcome::{assigned_errors, hits},
@@ -92,9 +91,8 @@ impl Image<'_> {
 impl Annotation<'_> {
     fn instances(&self, obj_id: u32) -> Result<Vec<(usize, Pose, f64)>, EvalError> {
         let (gt, info) = (self.scene.gt(self.im_id)?, self.scene.gt_info(self.im_id)?);
-        let place = || format!("{}: image {}", self.scene.folder.join("scene_gt.json").display(), self.im_id);
         let of_object = gt.iter().zip(info).enumerate().filter(|(_, (gt, _))| gt.obj_id == obj_id);
-        of_object.map(|(i, (gt, info))| Ok((i, gt.pose(&place())?, info.visib_fract))).collect()
+        of_object.map(|(i, (_, info))| Ok((i, self.scene.pose(self.im_id, i)?, info.visib_fract))).collect()
     }
 }
 

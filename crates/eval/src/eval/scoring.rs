@@ -7,10 +7,10 @@ use std::{
 
 use rayon::prelude::*;
 use unopose_dataset::formats::{
-    BopDataset, BopSplit, PoseResult, Target,
+    BopDataset, BopSplit, DatasetSplits, PoseResult, Target,
     files::write_json,
     results::read_results,
-    targets::{check_targets, read_reference_targets, read_targets},
+    targets::{read_annotated_targets, read_reference_targets},
 };
 
 use super::{
@@ -41,18 +41,15 @@ impl Evaluation {
 /// Files of [`score_files`].
 #[derive(Clone, Debug)]
 pub struct ScoreFiles {
-    /// BOP dataset folder.
-    pub dataset: PathBuf,
+    /// Dataset and splits.
+    pub splits: DatasetSplits,
     /// Result table; its name does not matter.
     pub results: PathBuf,
-    /// Split of the targets; found when `None`.
-    pub split: Option<String>,
-    /// Targets or references list; `test_targets_bop19.json` of the dataset when `None`.
+    /// List of targets, images or references; `test_targets_bop19.json` of the dataset, else its `test_targets_bop24.json`
+    /// when `None`.
     pub targets: Option<PathBuf>,
     /// References list for the rotation bins; `targets` when that is one.
     pub references: Option<PathBuf>,
-    /// Split of the references; that of the targets when `None`.
-    pub reference_split: Option<String>,
 }
 
 /// Scores a result table.
@@ -60,14 +57,10 @@ pub fn score_files(
     files: &ScoreFiles,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Evaluation, EvalError> {
-    let dataset = BopDataset::open(&files.dataset)?;
-    let split = match &files.split {
-        Some(name) => dataset.split(name)?,
-        None => dataset.test_split()?,
-    };
-    let targets_path = files.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
-    let targets = read_targets(&targets_path)?;
-    check_targets(&targets, &targets_path.display().to_string(), &split)?;
+    let dataset = files.splits.open()?;
+    let split = files.splits.of_targets(&dataset)?;
+    let targets_path = files.targets.clone().unwrap_or_else(|| dataset.targets_file());
+    let targets = annotated(&split, read_annotated_targets(&targets_path, &split)?)?;
     let results = read_results(&files.results)?;
     let references = match &files.references {
         Some(path) => Some(read_reference_targets(path)?),
@@ -75,7 +68,7 @@ pub fn score_files(
     };
     let rotations = match references {
         Some(references) => {
-            let other_split = files.reference_split.as_ref().map(|name| dataset.split(name)).transpose()?;
+            let other_split = files.splits.of_references(&dataset)?;
             Some(RotationBins::new(&references, &dataset, &split, other_split.as_ref().unwrap_or(&split))?)
         }
         None => None,
@@ -83,6 +76,26 @@ pub fn score_files(
     let options =
         ScoreOptions { rotations: rotations.as_ref(), progress, ..ScoreOptions::for_dataset(&dataset) };
     score_results(&dataset, &split, &targets, &results, &options)
+}
+
+/// The targets in images with an annotation; how many have none is told in the log. An error when none is left.
+pub(super) fn annotated(split: &BopSplit, targets: Vec<Target>) -> Result<Vec<Target>, EvalError> {
+    let (mut kept, mut hidden, mut file) = (Vec::new(), 0, None);
+    for target in targets {
+        let scene = split.scene(target.scene_id)?;
+        if scene.is_annotated(target.im_id) {
+            kept.push(target);
+        } else {
+            hidden += 1;
+            file.get_or_insert_with(|| scene.gt_file().display().to_string());
+        }
+    }
+    match file {
+        Some(file) if kept.is_empty() => return Err(EvalError::NoAnnotations { file }),
+        Some(file) => tracing::warn!("{hidden} targets have no annotation, as in {file}: they do not count"),
+        None => {}
+    }
+    Ok(kept)
 }
 
 /// Scores results in memory. Average recalls leave out results of objects or images that are no targets.

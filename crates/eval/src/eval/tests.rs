@@ -10,7 +10,7 @@ use unopose_core::{
 };
 use unopose_dataset::{
     formats::{
-        ModelInfo, ObjectSymmetries, PoseResult, Target,
+        DatasetSplits, ModelInfo, ObjectSymmetries, PoseResult, Target,
         bop::{BopSceneWriter, SceneImage, SceneInstance},
         files::read_json,
         models::write_models_info,
@@ -82,12 +82,10 @@ fn score(root: &Path, results: &[PoseResult]) -> Result<Evaluation, EvalError> {
     let path = root.join("any name.csv");
     write_results(&path, results)?;
     let files = ScoreFiles {
-        dataset: root.to_path_buf(),
+        splits: DatasetSplits { dataset: root.to_path_buf(), ..DatasetSplits::default() },
         results: path,
-        split: None,
         targets: None,
         references: None,
-        reference_split: None,
     };
     score_files(&files, &|_, _| {})
 }

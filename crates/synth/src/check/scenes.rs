@@ -26,7 +26,8 @@ pub(super) fn check(
     let mut report = CheckReport { set: PartReport::new("set"), ..CheckReport::default() };
     for split in &splits {
         for &scene_id in split.scene_ids() {
-            let name = split.folder().join(format!("{scene_id:06}")).display().to_string();
+            let folder = split.scene_folder(scene_id).unwrap_or(split.folder());
+            let name = folder.display().to_string();
             let part = match split.scene(scene_id) {
                 Ok(scene) => check_scene(&name, &scene, step, &models),
                 Err(error) => {
