@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_infer::PoseCriterion;
 
-use super::{calibrate::describe, options::EstimatorOptions, progress::ProgressDisplay};
+use super::{calibrate::describe, options::EstimatorOptions, progress::ProgressDisplay, score::print_unused};
 
 #[derive(Args)]
 pub struct AnalyseArguments {
@@ -45,11 +46,13 @@ pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
         detections: arguments.detections.clone(),
         limit: arguments.limit,
     })?;
+    print_unused(&list);
     let estimator = arguments.estimator.estimator()?;
     let progress = ProgressDisplay::new("analysing");
     let right = estimator.calibration().map_or(PoseCriterion::DEFAULT, |calibration| calibration.right);
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();
+    ensure!(!records.is_empty(), "{}: no target could be analysed", arguments.dataset.display());
     let title = format!("{} on {}", estimator.source(), list.dataset.name());
     print!("{}", write_findings(&records, &title, &arguments.out)?);
     if let Some(calibration) = estimator.calibration() {

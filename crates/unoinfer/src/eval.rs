@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use unopose_bench::{DetectionSource, ListRequest};
 use unopose_dataset::{
@@ -78,10 +78,11 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     let list = target_list(arguments, &estimator)?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
+    score::print_unused(&list);
     let progress = ProgressDisplay::new("estimating");
     let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
         progress.set(done, total)
-    })?;
+    });
     progress.finish();
     let method = match estimator.refinement() {
         Refinement::None => "unopose".to_owned(),
@@ -105,6 +106,8 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         poses.reasons().iter().for_each(|(reason, count)| println!("  {count} x {reason}"));
     }
     println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
+    score::print_warnings(&evaluation.scores.input);
+    ensure!(!poses.results.is_empty(), "none of {} targets got a pose", list.targets.len());
     Ok(())
 }
 

@@ -16,6 +16,7 @@ pub mod rle;
 mod sequence;
 mod symmetry;
 pub mod targets;
+pub mod units;
 
 pub use bop::{BopDataset, BopScene, BopSplit};
 pub use error::FormatError;
