@@ -145,7 +145,7 @@ fn noisy_masks_score_as_in_pycocotools() {
         (RegionKind::Mask, [0.691772492766083, 0.9168316831683169, 0.900685088566623, 0.710390873015873]),
         (RegionKind::Box, [0.6783310660988603, 0.8979820251757035, 0.824288439167149, 0.7310813492063493]),
     ] {
-        let scores = coco_scores(&split, &targets, &detections, "detections", kind).unwrap();
+        let scores = coco_scores(&split, &targets, &detections, kind).unwrap();
         assert_eq!((scores.n_instances, scores.n_ignored, scores.n_outside), (443, 1, 0));
         let met = [scores.map, scores.ap50, scores.ap75, scores.ar100];
         for (met, expected) in met.iter().zip(expected) {

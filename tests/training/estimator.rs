@@ -155,8 +155,7 @@ fn a_target_list_becomes_a_table_and_scores() {
     let mut seen = Vec::new();
     let poses = estimate_targets(&estimator, &list, ReferenceColor::Keep, &mut |done, total| {
         seen.push((done, total))
-    })
-    .unwrap();
+    });
     assert_eq!(seen, [(0, 2), (1, 2), (2, 2)]);
     // Image 0: both objects, of object 1 only the confident detection. Image 1: the confident detection of object 2 is
     // empty and put aside, so that the best of the others is taken; object 1 has no detection.
@@ -173,7 +172,7 @@ fn a_target_list_becomes_a_table_and_scores() {
     assert_eq!(poses.results[2].time, -1.0);
     assert!((poses.mean_time_per_pair_s().unwrap() - poses.seconds / 3.0).abs() < 1e-12);
 
-    let again = estimate_targets(&self::estimator(1), &list, ReferenceColor::Keep, &mut |_, _| {}).unwrap();
+    let again = estimate_targets(&self::estimator(1), &list, ReferenceColor::Keep, &mut |_, _| {});
     let of = |poses: &[unopose_dataset::formats::PoseResult]| -> Vec<_> {
         poses.iter().map(|r| (r.score.to_bits(), r.t_camera_object)).collect()
     };
@@ -196,6 +195,36 @@ fn a_target_list_becomes_a_table_and_scores() {
     for key in ["AR", "AR_VSD", "AR_MSSD", "AR_MSPD"] {
         assert!((0.0..=0.75).contains(&scores[key].as_f64().unwrap()), "{key}: {}", scores[key]);
     }
+}
+
+#[test]
+fn a_view_that_cannot_be_read_costs_its_own_targets() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = bop_folder(folder.path());
+    let estimator = estimator(1);
+    let run = || estimate_targets(&estimator, &list, ReferenceColor::Keep, &mut |_, _| {});
+    let whole = run();
+    let depth = |im_id: u32| folder.path().join(format!("test/000001/depth/{im_id:06}.png"));
+    std::fs::rename(depth(1), folder.path().join("kept.png")).unwrap();
+    let part = run();
+    assert_eq!(part.results.len(), 2);
+    for (a, b) in part.results.iter().zip(&whole.results) {
+        assert_eq!(
+            (a.im_id, a.obj_id, a.score.to_bits(), a.t_camera_object),
+            (0, b.obj_id, b.score.to_bits(), b.t_camera_object)
+        );
+    }
+    assert_eq!(part.reasons(), [("image cannot be read: depth not found".to_owned(), 2)]);
+    assert!(part.unread.messages()["scene 1 image 1"].contains("depth/000001.png"));
+    let scores = score_poses(&list, &part, None, &|_, _| {}).unwrap().scores;
+    assert_eq!((scores.recall.n_targets, scores.n_estimates, scores.input.unread_images.len()), (4, 2, 1));
+    // The view of all references.
+    std::fs::rename(folder.path().join("kept.png"), depth(1)).unwrap();
+    std::fs::write(depth(2), "no image").unwrap();
+    let none = run();
+    assert!(none.results.is_empty());
+    assert_eq!(none.reasons()[0], ("reference cannot be read: not a readable image".to_owned(), 3));
+    assert_eq!(none.unread.len(), 1);
 }
 
 /// A dataset of four ellipsoid views: images 0 and 1 of scene 1 are targets, image 2 holds the references.

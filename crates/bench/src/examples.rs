@@ -5,7 +5,10 @@ use std::{collections::BTreeMap, path::Path};
 use image::{Rgb, RgbImage};
 use nalgebra::Point3;
 use unopose_core::geometry::Pose;
-use unopose_dataset::{formats::ReferenceTarget, protocol::TargetList};
+use unopose_dataset::{
+    formats::{FormatError, ReferenceTarget},
+    protocol::TargetList,
+};
 use unopose_eval::{
     eval::{Evaluation, TargetOutcome},
     report::overlay::{contact_sheet, cutout, pose_overlay, write_png},
@@ -61,8 +64,12 @@ impl Examples {
         let sheet = |kind: &str, cases: &[&TargetOutcome]| -> Result<Sheet, BenchError> {
             let file = format!("{}-{kind}.png", run.name);
             let entries = cases.iter().filter_map(|t| posed.get(&key(t)));
-            let tiles =
-                entries.map(|(target, pose)| tile(list, target, pose)).collect::<Result<Vec<_>, _>>()?;
+            // Kept poses may be of images that are gone.
+            let drawn = entries.filter_map(|(target, pose)| {
+                let drawn = tile(list, target, pose);
+                drawn.inspect_err(|error| tracing::warn!("{file}: a case is not drawn: {error}")).ok()
+            });
+            let tiles: Vec<RgbImage> = drawn.collect();
             write_png(&folder.join(&file), &contact_sheet(&tiles, COLUMNS))?;
             let caption = cases.iter().map(|t| {
                 format!(
@@ -88,7 +95,7 @@ fn tile(
     list: &TargetList,
     target: &ReferenceTarget,
     t_query_reference: &Pose,
-) -> Result<RgbImage, BenchError> {
+) -> Result<RgbImage, FormatError> {
     let (split, obj_id) = (list.reference_split(), target.obj_id);
     let scene = split.scene(target.ref_scene_id)?;
     let reference = scene.frame(target.ref_im_id)?;

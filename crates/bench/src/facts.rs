@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 use unopose_dataset::{
-    formats::{ReferenceTarget, detections::SkippedDetection},
-    protocol::TargetList,
+    formats::ReferenceTarget,
+    protocol::{SkippedDetection, TargetList},
 };
 use unopose_eval::eval::ROTATION_EDGES;
 

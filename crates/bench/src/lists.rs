@@ -145,16 +145,23 @@ impl ListRequest {
                 Some(render_references(&dataset, real, &list.entries, &folder.join("rendered"))?);
             list.facts.list = "rendered".into();
         }
-        let detections = match &self.detections {
-            DetectionSource::File(path) => read_detections(path)?,
-            DetectionSource::UnoSeg(masks) => read_detections(&masks.detections)?,
-            DetectionSource::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
+        let given = match &self.detections {
+            DetectionSource::File(path) => Some(path),
+            DetectionSource::UnoSeg(masks) => Some(&masks.detections),
+            DetectionSource::GroundTruth => None,
+        };
+        let (detections, masks_place) = match given {
+            Some(path) => (read_detections(path)?, path.display().to_string()),
+            None => {
+                (true_masks(&dataset, &split, &list.entries)?, format!("{}: annotated masks", dataset.name()))
+            }
         };
         let Entries { mut facts, entries, place } = list;
         if let DetectionSource::File(_) = &self.detections {
             facts.mask_map = Some(mask_map(&split, &entries, &detections)?);
         }
-        let list = TargetList::new(dataset, split, reference_split, entries, detections, &place)?;
+        let list =
+            TargetList::new(dataset, split, reference_split, entries, detections, [place, masks_place])?;
         Ok(PreparedList { facts, list })
     }
 }
@@ -173,7 +180,7 @@ fn mask_map(
     };
     let targets: Vec<Target> = entries.iter().map(target).collect();
     let whole = detections.iter().filter(|d| d.segmentation.runs().is_ok()).cloned().collect::<Vec<_>>();
-    Ok(coco_scores(split, &targets, &whole, "detections", RegionKind::Mask)?.map)
+    Ok(coco_scores(split, &targets, &whole, RegionKind::Mask)?.map)
 }
 
 /// `test_ref_targets_NAME.json` without what surrounds the name.

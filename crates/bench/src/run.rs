@@ -114,7 +114,7 @@ impl Run<'_> {
     ) -> Result<bool, BenchError> {
         let mut outcomes = Vec::with_capacity(references.len());
         for &target in references {
-            outcomes.push(match self.pair(target, detection)? {
+            outcomes.push(match self.pair(target, detection, made)? {
                 PairOutcome::Posed { t_query_reference, score, seconds } => {
                     made.add_pairs(1);
                     made.add_seconds(seconds);
@@ -125,8 +125,16 @@ impl Run<'_> {
         }
         match best_outcome(outcomes) {
             Some(Ok((score, (target, t_query_reference)))) => {
-                let scene = self.list.reference_split().scene(target.ref_scene_id)?;
-                let (_, t_reference_object) = scene.most_visible(target.ref_im_id, target.obj_id)?;
+                let scene = self.list.reference_split().scene(target.ref_scene_id);
+                let instance = scene.and_then(|scene| scene.most_visible(target.ref_im_id, target.obj_id));
+                let t_reference_object = match instance {
+                    Ok((_, t_reference_object)) => t_reference_object,
+                    Err(error) => {
+                        let reason = made.unread(target.ref_scene_id, target.ref_im_id, &error);
+                        made.reject(detection.category_id, reason);
+                        return Ok(false);
+                    }
+                };
                 made.add_pose(detection, score, t_query_reference * t_reference_object);
                 self.relative.push((target.clone(), t_query_reference));
                 Ok(true)
@@ -140,7 +148,12 @@ impl Run<'_> {
     }
 
     /// From the records, or estimated now.
-    fn pair(&mut self, target: &ReferenceTarget, detection: &Detection) -> Result<PairOutcome, BenchError> {
+    fn pair(
+        &mut self,
+        target: &ReferenceTarget,
+        detection: &Detection,
+        made: &mut ImagePoses<'_>,
+    ) -> Result<PairOutcome, BenchError> {
         let key = RecordKey::new(target, detection);
         if let Some(known) = self.records.get(&key) {
             return Ok(known.clone());
@@ -148,8 +161,13 @@ impl Run<'_> {
         let outcome = match detection.segmentation.decode() {
             Err(error) => PairOutcome::Rejected { reason: error.to_string() },
             Ok(mask) => {
-                let frame = self.frame(false, target.scene_id, target.im_id)?;
-                let (reference, reference_mask) = self.reference(target)?;
+                let (frame, (reference, reference_mask)) = match self.views(target) {
+                    Ok(views) => views,
+                    // Not kept: the files may be whole next time.
+                    Err(([scene_id, im_id], error)) => {
+                        return Ok(PairOutcome::Rejected { reason: made.unread(scene_id, im_id, &error) });
+                    }
+                };
                 let query = MaskedView { frame: &frame, mask: &mask };
                 let reference = MaskedView { frame: &reference, mask: &reference_mask };
                 self.estimate(&key, query, reference)?
@@ -184,6 +202,18 @@ impl Run<'_> {
             }
             rejected => rejected,
         })
+    }
+
+    /// Query and reference; an error comes with scene and image.
+    #[allow(clippy::type_complexity)]
+    fn views(
+        &mut self,
+        target: &ReferenceTarget,
+    ) -> Result<(Arc<RgbdFrame>, (Arc<RgbdFrame>, Mask)), ([u32; 2], FormatError)> {
+        let ReferenceTarget { scene_id, im_id, ref_scene_id, ref_im_id, .. } = *target;
+        let query = self.frame(false, scene_id, im_id).map_err(|error| ([scene_id, im_id], error))?;
+        let reference = self.reference(target).map_err(|error| ([ref_scene_id, ref_im_id], error))?;
+        Ok((query, reference))
     }
 
     fn reference(&mut self, target: &ReferenceTarget) -> Result<(Arc<RgbdFrame>, Mask), FormatError> {

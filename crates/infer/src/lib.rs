@@ -15,6 +15,7 @@ pub mod experiment;
 mod forward;
 mod one_pair;
 mod pairs;
+mod recently_used;
 mod reference;
 mod reference_file;
 mod settings;

@@ -1,9 +1,6 @@
-//! A reference view that is kept for its queries, and a store of many of them.
+//! A reference view that is kept for its queries.
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, OnceLock},
-};
+use std::sync::OnceLock;
 
 use unopose_nn::model::EncodedCloud;
 use unopose_pairs::data::CloudInput;
@@ -55,41 +52,7 @@ impl Reference {
     pub fn bytes(&self) -> usize {
         self.encoded.bytes()
             + 12 * (self.points.len() + self.cloud.points.len())
-            + 4 * (self.cloud.rgb.len() + self.cloud.structure.angles.len())
-    }
-}
-
-/// Keeps the references used last.
-pub struct ReferenceCache<K> {
-    entries: BTreeMap<K, (u64, Arc<Reference>)>,
-    clock: u64,
-    bytes: usize,
-    capacity: usize,
-}
-
-impl<K: Ord + Copy> ReferenceCache<K> {
-    /// Holds at most `capacity` bytes, but always the reference asked for last.
-    pub fn new(capacity: usize) -> Self {
-        Self { entries: BTreeMap::new(), clock: 0, bytes: 0, capacity }
-    }
-
-    pub fn get(&mut self, key: K) -> Option<Arc<Reference>> {
-        self.clock += 1;
-        let (used, reference) = self.entries.get_mut(&key)?;
-        *used = self.clock;
-        Some(reference.clone())
-    }
-
-    pub fn put(&mut self, key: K, reference: Arc<Reference>) {
-        self.clock += 1;
-        self.bytes += reference.bytes();
-        if let Some((_, old)) = self.entries.insert(key, (self.clock, reference)) {
-            self.bytes -= old.bytes();
-        }
-        while self.bytes > self.capacity && self.entries.len() > 1 {
-            let oldest = self.entries.iter().min_by_key(|(_, (used, _))| *used).map(|(&key, _)| key);
-            let Some((_, old)) = oldest.and_then(|key| self.entries.remove(&key)) else { break };
-            self.bytes -= old.bytes();
-        }
+            + 4 * (self.cloud.rgb.len() + self.cloud.choose.len() + self.cloud.sparse.len())
+            + 4 * (self.cloud.structure.distances.len() + self.cloud.structure.angles.len())
     }
 }

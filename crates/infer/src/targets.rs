@@ -18,13 +18,14 @@ use super::{
 };
 
 /// Estimates all targets, image by image: the instances of an image are one batch. A target with several references
-/// takes, for each detection, the pose with the best score. `color` is [`ReferenceColor::Keep`] but for experiments. `progress` is called with the images done and all images.
+/// takes, for each detection, the pose with the best score. An image that cannot be read costs its own targets alone. `color`
+/// is [`ReferenceColor::Keep`] but for experiments. `progress` is called with the images done and all images.
 pub fn estimate_targets(
     estimator: &PoseEstimator,
     list: &TargetList,
     color: ReferenceColor,
     progress: &mut dyn FnMut(usize, usize),
-) -> Result<TargetPoses, InferError> {
+) -> TargetPoses {
     let references = TargetReferences::new(estimator, list.reference_split(), color);
     let mut run = Run { estimator, list, references };
     let (mut poses, images) = (TargetPoses::default(), list.images());
@@ -32,12 +33,13 @@ pub fn estimate_targets(
     for (done, image) in images.into_iter().enumerate() {
         progress(done, total);
         let mut made = ImagePoses::new(&mut poses, &image);
-        run.image(image, &mut made)?;
+        run.image(image, &mut made);
         made.finish();
     }
     progress(total, total);
-    let TargetReferences { made, seconds, .. } = run.references;
-    Ok(TargetPoses { references: made, reference_seconds: seconds, ..poses })
+    let TargetReferences { made, seconds, unread, .. } = run.references;
+    poses.unread.merge(&unread);
+    TargetPoses { references: made, reference_seconds: seconds, ..poses }
 }
 
 /// An object of an image that can get a pose.
@@ -62,12 +64,19 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn image(&mut self, image: ImageTargets<'_>, made: &mut ImagePoses<'_>) -> Result<(), InferError> {
-        let frame = self.list.split.scene(image.scene_id)?.frame(image.im_id)?;
+    fn image(&mut self, image: ImageTargets<'_>, made: &mut ImagePoses<'_>) {
+        let frame = self.list.split.scene(image.scene_id).and_then(|scene| scene.frame(image.im_id));
+        let frame = match frame {
+            Ok(frame) => frame,
+            Err(error) => {
+                let reason = made.unread(image.scene_id, image.im_id, &error);
+                return image.objects.iter().for_each(|object| made.reject(object.obj_id, &reason));
+            }
+        };
         let seconds_before = self.references.seconds;
         let mut wanted = Vec::new();
         for object in image.objects {
-            let references = self.usable_references(&object, made)?;
+            let references = self.usable_references(&object, made);
             if !references.is_empty() {
                 wanted.push(Wanted { object, references });
             }
@@ -86,7 +95,7 @@ impl Run<'_> {
                 }
             }
             if over {
-                return Ok(());
+                return;
             }
             let start = Instant::now();
             for object in self.estimate(&frame, &wanted, &attempts, made) {
@@ -101,19 +110,19 @@ impl Run<'_> {
         &mut self,
         object: &ObjectTargets<'_>,
         made: &mut ImagePoses<'_>,
-    ) -> Result<Vec<PosedReference>, InferError> {
+    ) -> Vec<PosedReference> {
         let mut references = Vec::new();
         if !object.has_detections() {
             made.reject(object.obj_id, NO_DETECTION);
-            return Ok(references);
+            return references;
         }
         for target in &object.references {
-            match self.references.get(target)? {
+            match self.references.get(target) {
                 Ok(reference) => references.push(reference),
                 Err(reason) => made.reject(object.obj_id, reason),
             }
         }
-        Ok(references)
+        references
     }
 
     /// Adds the poses of a batch; returns the numbers of the objects that got one.

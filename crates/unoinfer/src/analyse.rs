@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
@@ -11,6 +12,7 @@ use super::{
     calibrate::describe,
     options::{EstimatorOptions, SplitOptions},
     progress::ProgressDisplay,
+    score::print_unused,
 };
 
 #[derive(Args)]
@@ -43,11 +45,13 @@ pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
         detections: arguments.detections.clone(),
         limit: arguments.limit,
     })?;
+    print_unused(&list);
     let estimator = arguments.estimator.estimator()?;
     let progress = ProgressDisplay::new("analysing");
     let right = estimator.calibration().map_or(PoseCriterion::DEFAULT, |calibration| calibration.right);
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();
+    ensure!(!records.is_empty(), "{}: no target could be analysed", arguments.dataset.display());
     let title = format!("{} on {}", estimator.source(), list.dataset.name());
     print!("{}", write_findings(&records, &title, &arguments.out)?);
     if let Some(calibration) = estimator.calibration() {

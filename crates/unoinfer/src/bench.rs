@@ -25,6 +25,7 @@ use super::{
     options::SplitOptions,
     progress::ProgressDisplay,
     proposals::{EMBEDDED, FOR_UNOSEG, check_sam_points, generator},
+    score::print_unused,
     segment_dataset::{DatasetFiles, NOT_SCORED, segment_dataset},
 };
 
@@ -157,6 +158,7 @@ fn run_lists(suite: &Suite<'_>, lists: &[PreparedList], folder: &Path) -> anyhow
     for prepared in lists {
         let name = &prepared.facts.list;
         eprintln!("{name}: {} targets", prepared.list.targets.len());
+        print_unused(&prepared.list);
         let folder = if lists.len() > 1 { folder.join(name) } else { folder.to_owned() };
         suite.run(&prepared.list, &prepared.facts, &folder)?;
         for table in ["table.md", "ablation.md"] {

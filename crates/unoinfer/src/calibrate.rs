@@ -14,7 +14,7 @@ use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
 
-use super::progress::ProgressDisplay;
+use super::{progress::ProgressDisplay, score::print_unused};
 
 #[derive(Args)]
 pub struct CalibrateArguments {
@@ -48,6 +48,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
         detections: file(&arguments.detections, "dets_gt.json"),
         limit: None,
     })?;
+    print_unused(&list);
     // Before the work: a file that cannot carry a calibration is refused.
     checkpoint::read_meta(&arguments.checkpoint)?;
     let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?;

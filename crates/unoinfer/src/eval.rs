@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use unopose_bench::{DetectionSource, ListRequest};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
@@ -71,10 +71,11 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     let list = target_list(arguments, &estimator)?;
     eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
+    score::print_unused(&list);
     let progress = ProgressDisplay::new("estimating");
     let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
         progress.set(done, total)
-    })?;
+    });
     progress.finish();
     let method = match estimator.refinement() {
         Refinement::None => "unopose".to_owned(),
@@ -106,9 +107,13 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         poses.reasons().iter().for_each(|(reason, count)| println!("  {count} x {reason}"));
     }
     match evaluation {
-        Some(_) => println!("{} and {}", table.display(), arguments.out.join("scores.json").display()),
+        Some(evaluation) => {
+            println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
+            score::print_warnings(&evaluation.scores.input);
+        }
         None => println!("{}", table.display()),
     }
+    ensure!(!poses.results.is_empty(), "none of {} targets got a pose", list.targets.len());
     Ok(())
 }
 

@@ -1,17 +1,19 @@
 //! `unoinfer score`.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
 };
 
 use clap::Args;
-use unopose_dataset::formats::{
-    detections::read_detections, files::write_json, targets::read_annotated_targets,
+use serde::Serialize;
+use unopose_dataset::{
+    formats::{detections::read_detections, files::write_json, targets::read_annotated_targets},
+    protocol::{TargetList, UsableDetections},
 };
 use unopose_eval::eval::{
-    AverageRecall, CocoScores, Evaluation, Interval, RegionKind, ScoreFiles, average_recall_interval,
-    coco_scores, error_type_intervals, score_files,
+    AverageRecall, CocoScores, Evaluation, InputReport, Interval, RegionKind, ScoreFiles,
+    average_recall_interval, coco_scores, error_type_intervals, score_files,
 };
 
 use super::{options::SplitOptions, progress::ProgressDisplay};
@@ -65,7 +67,22 @@ fn poses(arguments: &ScoreArguments, results: &Path) -> anyhow::Result<()> {
         evaluation.write(folder)?;
     }
     print(&evaluation);
+    print_warnings(&evaluation.scores.input);
     Ok(())
+}
+
+/// The detections of a list that are not used, on stderr: how many, and why.
+pub fn print_unused(list: &TargetList) {
+    for line in UsableDetections::messages(&list.skipped, &list.ids) {
+        eprintln!("{line}");
+    }
+}
+
+/// What makes the scores doubtful, on stderr.
+pub fn print_warnings(input: &InputReport) {
+    for warning in &input.warnings {
+        eprintln!("WARNING: {warning}");
+    }
 }
 
 /// Draws of the intervals, and their seed.
@@ -78,10 +95,14 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     let split = splits.of_targets(&dataset)?;
     let list = arguments.targets.clone().unwrap_or_else(|| dataset.targets_file());
     let targets = read_annotated_targets(&list, &split)?;
+    let place = path.display().to_string();
+    let ids: BTreeSet<[u32; 3]> = targets.iter().map(|t| [t.scene_id, t.im_id, t.obj_id]).collect();
     let detections = read_detections(path)?;
-    let mut all: BTreeMap<&str, CocoScores> = BTreeMap::new();
+    let usable = UsableDetections::new(detections.clone(), &split, &ids);
+    let unused = UsableDetections::messages(&usable.skipped, &usable.ids);
+    let mut all = DetectionScores { input: InputReport::of_detections(&usable), ..Default::default() };
     for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {
-        let scores = coco_scores(&split, &targets, &detections, &path.display().to_string(), kind)?;
+        let scores = coco_scores(&split, &targets, &detections, kind)?;
         println!(
             "{name}: mAP {:.4}, AP50 {:.4}, AP75 {:.4}, AR100 {:.4} ({} instances, {} ignored, {} of {} detections outside)",
             scores.map,
@@ -93,12 +114,23 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
             scores.n_outside,
             detections.len()
         );
-        all.insert(name, scores);
+        all.kinds.insert(name, scores);
     }
     if let Some(folder) = &arguments.out {
         write_json(&folder.join("coco.json"), &all, true)?;
     }
-    Ok(())
+    unused.iter().for_each(|line| eprintln!("{line}"));
+    Ok(usable.require_any(&ids, &place)?)
+}
+
+/// What `coco.json` holds.
+#[derive(Default, Serialize)]
+struct DetectionScores {
+    /// Of masks (`segm`) and boxes (`bbox`).
+    #[serde(flatten)]
+    kinds: BTreeMap<&'static str, CocoScores>,
+    #[serde(flatten)]
+    input: InputReport,
 }
 
 /// The scores as a table on stdout.
@@ -143,6 +175,9 @@ pub fn print(evaluation: &Evaluation) {
     );
     if scores.n_strangers > 0 {
         println!("{} results are of images or objects that are no targets", scores.n_strangers);
+    }
+    if !scores.input.unread_images.is_empty() {
+        println!("{} images could not be read", scores.input.unread_images.len());
     }
     for (what, seconds) in [("image", scores.mean_time_per_image_s), ("pair", scores.mean_time_per_pair_s)] {
         if seconds >= 0.0 {

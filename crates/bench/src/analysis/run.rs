@@ -57,7 +57,13 @@ pub fn analyse(
         };
         let scene = list.split.scene(target.scene_id)?;
         if view.as_ref().is_none_or(|(of, _)| *of != key) {
-            view = Some((key, scene.frame(target.im_id)?));
+            view = match scene.frame(target.im_id) {
+                Ok(frame) => Some((key, frame)),
+                Err(error) => {
+                    tracing::warn!("scene {} image {} cannot be read: {error}", key.0, key.1);
+                    continue;
+                }
+            };
         }
         let Some((_, frame)) = &view else { continue };
         let mask = detection.segmentation.decode().map_err(|error| {
@@ -65,7 +71,7 @@ pub fn analyse(
             FormatError::field(place, "segmentation", "unreadable", error.to_string())
         })?;
         let reference_key = (target.ref_scene_id, target.ref_im_id, target.obj_id);
-        let (reference, t_reference_object) = match references.get(target)? {
+        let (reference, t_reference_object) = match references.get(target) {
             Ok(reference) => reference,
             Err(reason) => {
                 tracing::warn!("{reason}");

@@ -130,6 +130,32 @@ impl PairEstimator for Shift {
 }
 
 #[test]
+fn an_image_that_cannot_be_read_costs_itself_until_it_is_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = write_dataset(folder.path());
+    let (cache, method) = (folder.path().join("results"), Shift { asked: AtomicUsize::new(0) });
+    let refined = Refined { estimator: &method, refinement: Refinement::None };
+    let go = || run_method(&list, &refined, &cache, &mut |_, _| {}).unwrap();
+    for (gone, im_id) in [("rgb/000001.png", 1), ("depth/000000.png", 0)] {
+        let path = folder.path().join("ycbv/test/000001").join(gone);
+        let content = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let run = go();
+        assert_eq!((run.poses.results.len(), run.computed, run.poses.rejections.len()), (0, 0, 2));
+        let kind = gone.split('/').next().unwrap();
+        let reason = &run.poses.rejections[0].reason;
+        assert!(reason.starts_with("image cannot be read: ") && reason.contains(kind), "{reason}");
+        let messages = run.poses.unread.messages();
+        assert!(
+            messages[&format!("scene 1 image {im_id}")].contains(gone.split('.').next().unwrap()),
+            "{messages:?}"
+        );
+        std::fs::write(&path, content).unwrap();
+    }
+    assert_eq!(go().poses.results.len(), 1);
+}
+
+#[test]
 fn a_run_is_resumed_scored_and_written() {
     let folder = tempfile::tempdir().unwrap();
     let list = write_dataset(folder.path());

@@ -1,14 +1,11 @@
 //! Detections and segmentations as a COCO-like list.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BopSplit, Foreground, FormatError, Target,
+    BopSplit, FormatError, Target,
     files::{read_json, write_json},
     rle::Rle,
 };
@@ -37,21 +34,6 @@ fn unknown() -> f64 {
     -1.0
 }
 
-/// A detection that cannot be used.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SkippedDetection {
-    /// Scene of the image.
-    pub scene_id: u32,
-    /// Number of the image in its scene.
-    pub im_id: u32,
-    /// Object id.
-    pub obj_id: u32,
-    /// Index in the list.
-    pub entry: usize,
-    /// What is wrong with its mask.
-    pub reason: String,
-}
-
 /// Reads a detection list in the order of the file. The masks stay encoded.
 pub fn read_detections(path: &Path) -> Result<Vec<Detection>, FormatError> {
     let detections: Vec<Detection> = read_json(path)?;
@@ -68,35 +50,6 @@ pub fn read_detections(path: &Path) -> Result<Vec<Detection>, FormatError> {
         }
     }
     Ok(detections)
-}
-
-/// Splits off the detections in `images` of a split whose masks are broken, empty or of another size than the image.
-/// Images that are not there are left alone.
-pub(crate) fn usable_detections(
-    detections: Vec<Detection>,
-    split: &BopSplit,
-    images: &BTreeSet<(u32, u32)>,
-) -> Result<(Vec<Detection>, Vec<SkippedDetection>), FormatError> {
-    let mut sizes: BTreeMap<(u32, u32), [u32; 2]> = BTreeMap::new();
-    for &(scene_id, im_id) in images {
-        let (width, height) = split.scene(scene_id)?.image_size(im_id)?;
-        sizes.insert((scene_id, im_id), [height, width]);
-    }
-    let (mut usable, mut skipped) = (Vec::new(), Vec::new());
-    for (entry, detection) in detections.into_iter().enumerate() {
-        let size = sizes.get(&(detection.scene_id, detection.image_id));
-        match size.and_then(|size| detection.problem(*size)) {
-            None => usable.push(detection),
-            Some(reason) => skipped.push(SkippedDetection {
-                scene_id: detection.scene_id,
-                im_id: detection.image_id,
-                obj_id: detection.category_id,
-                entry,
-                reason,
-            }),
-        }
-    }
-    Ok((usable, skipped))
 }
 
 /// The true segmentation: visible masks of the targets' instances, the most visible ones where there are more. Targets whose
@@ -137,21 +90,6 @@ fn instances_of_target(split: &BopSplit, target: &Target) -> Result<Vec<Detectio
         })
     })
     .collect()
-}
-
-impl Detection {
-    /// Why the mask is of no use in an image of `size` (height, width).
-    fn problem(&self, size: [u32; 2]) -> Option<String> {
-        match Foreground::new(&self.segmentation) {
-            Err(error) => Some(error.to_string()),
-            Ok(mask) if mask.size() != size => {
-                let ([h, w], [height, width]) = (mask.size(), size);
-                Some(format!("segmentation size is {w} x {h}, expected the image's {width} x {height}"))
-            }
-            Ok(mask) if mask.area() == 0 => Some("segmentation is empty, expected at least one pixel".into()),
-            Ok(_) => None,
-        }
-    }
 }
 
 /// Writes a detection list.
@@ -198,11 +136,5 @@ mod tests {
             let message = read_detections(&path).unwrap_err().to_string();
             assert!(message.contains("dets.json") && message.contains(part), "{message}");
         }
-        let of_size =
-            |size| Detection { segmentation: Rle { size, counts: Counts::Runs(vec![6]) }, ..list[0].clone() };
-        assert_eq!(list[0].problem([2, 3]), None);
-        assert!(list[0].problem([4, 3]).unwrap().contains("size is 3 x 2, expected the image's 3 x 4"));
-        assert!(of_size([2, 3]).problem([2, 3]).unwrap().contains("empty"));
-        assert!(of_size([2, 2]).problem([2, 2]).unwrap().contains("sum of counts is 6"));
     }
 }

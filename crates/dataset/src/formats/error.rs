@@ -106,6 +106,22 @@ impl FormatError {
         Self::Io { path: path.to_path_buf(), source }
     }
 
+    /// The kind of fault in a few words, without place and values: the same for equal faults of different files.
+    pub fn cause(&self) -> String {
+        match self {
+            Self::Write(FileError { source, .. }) | Self::Io { source, .. } => source.to_string(),
+            Self::Image { .. } => "not a readable image".into(),
+            Self::Json { .. } => "broken JSON".into(),
+            Self::Csv { .. } => "broken table".into(),
+            Self::Intrinsics { .. } => "unusable intrinsics".into(),
+            Self::Field { field, .. } => format!("wrong {field}"),
+            Self::Missing { missing, .. } => {
+                let kind = missing.split(|c: char| c == '/' || c.is_ascii_digit()).next().unwrap_or_default();
+                format!("{} not found", kind.trim_end())
+            }
+        }
+    }
+
     /// The same error with `outer` (a file, an entry) put before its place.
     pub fn within(self, outer: impl Display) -> Self {
         let join = |inner: &dyn Display| format!("{outer}: {inner}");

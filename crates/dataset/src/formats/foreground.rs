@@ -5,7 +5,7 @@ use unopose_core::frame::Mask;
 use super::{FormatError, rle::Rle};
 
 /// Set pixels of a mask as disjoint, sorted ranges of column-major positions.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Foreground {
     /// `[height, width]`.
     size: [u32; 2],

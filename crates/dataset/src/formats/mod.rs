@@ -17,6 +17,7 @@ pub mod rle;
 mod sequence;
 mod symmetry;
 pub mod targets;
+pub mod units;
 mod whole_numbers;
 
 pub use bop::{BopDataset, BopScene, BopSplit, DatasetSplits};

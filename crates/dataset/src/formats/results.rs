@@ -8,6 +8,10 @@ use super::FormatError;
 
 const HEADER: [&str; 7] = ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"];
 const MM_PER_METRE: f64 = 1000.0;
+/// Stands in the table for a time that nobody took.
+const UNKNOWN_TIME: f64 = -1.0;
+/// No camera sees farther, metres; larger numbers overflow when they are squared.
+const FARTHEST: f64 = 1e9;
 
 /// One estimated pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +26,7 @@ pub struct PoseResult {
     pub score: f64,
     /// Object to camera, metres.
     pub t_camera_object: Pose,
-    /// Seconds for the whole image, segmentation included; negative when unknown.
+    /// Seconds for the whole image, segmentation included; -1 when unknown.
     pub time: f64,
 }
 
@@ -31,8 +35,15 @@ pub fn result_file_name(method: &str, dataset: &str, split: &str) -> String {
     format!("{}_{dataset}-{split}.csv", method.replace('_', "-"))
 }
 
-/// Reads a result table with or without its header line; a missing `time` column counts as unknown.
+/// Reads a result table with or without its header line; a missing `time` column counts as unknown. An error when it has
+/// no pose.
 pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
+    // A pipe may block and a device may have no end.
+    let kind = std::fs::metadata(path).map_err(|e| FormatError::io(path, e))?.file_type();
+    if !kind.is_file() {
+        let kind = if kind.is_dir() { "a folder" } else { "a pipe, socket or device" };
+        return Err(FormatError::field(path.display(), "result table", kind, "a regular file"));
+    }
     let file = std::fs::File::open(path).map_err(|e| FormatError::io(path, e))?;
     let csv_error = |source| FormatError::Csv { path: path.to_path_buf(), source };
     let mut reader = csv::ReaderBuilder::new()
@@ -57,6 +68,14 @@ pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
         let result = parse_line(&record, &place)?;
         seen.check(&result, line, &place)?;
         results.push(result);
+    }
+    if results.is_empty() {
+        return Err(FormatError::field(
+            path.display(),
+            "result table",
+            "without a pose",
+            "at least one line",
+        ));
     }
     Ok(results)
 }
@@ -98,8 +117,10 @@ fn parse_line(record: &csv::StringRecord, place: &str) -> Result<PoseResult, For
         let fields = format!("{} fields", record.len());
         return Err(FormatError::field(place, "line", fields, format!("7: {}", HEADER.join(","))));
     }
-    let wrong =
-        |column: usize, expected: &str| FormatError::field(place, HEADER[column], &record[column], expected);
+    let wrong = |column: usize, expected: &str| {
+        let met = if record[column].is_empty() { "empty" } else { &record[column] };
+        FormatError::field(place, HEADER[column], met, expected)
+    };
     let id = |column: usize| {
         record[column]
             .trim_start_matches('\u{feff}')
@@ -115,14 +136,20 @@ fn parse_line(record: &csv::StringRecord, place: &str) -> Result<PoseResult, For
         numbers::<9>(&record[4], finite).ok_or_else(|| wrong(4, "9 finite numbers separated by spaces"))?;
     let t =
         numbers::<3>(&record[5], finite).ok_or_else(|| wrong(5, "3 finite numbers separated by spaces"))?;
+    if t.iter().any(|mm| mm.abs() > FARTHEST * MM_PER_METRE) {
+        return Err(wrong(5, "millimetres"));
+    }
     let t_camera_object = Pose::from_row_major(&r, &t.map(|mm| mm / MM_PER_METRE));
     // Written with few digits by some methods.
     if t_camera_object.rotation_defect() > 1e-2 {
         return Err(wrong(4, "a rotation matrix, row-major"));
     }
     let time = match record.get(6) {
-        Some(text) => finite(text).ok_or_else(|| wrong(6, "seconds, -1 when unknown"))?,
-        None => -1.0,
+        Some(text) => {
+            let time = finite(text).filter(|&time| time >= 0.0 || time == UNKNOWN_TIME);
+            time.ok_or_else(|| wrong(6, "seconds, -1 when unknown"))?
+        }
+        None => UNKNOWN_TIME,
     };
     Ok(PoseResult {
         scene_id: id(0)?,
@@ -181,7 +208,28 @@ mod tests {
         for text in [LINE.to_owned(), format!("{header}\r\n{LINE}\r\n"), without_time.to_owned()] {
             assert_eq!(read(&text).unwrap(), [expected], "{text}");
         }
-        assert!(read("").unwrap().is_empty());
+        let bom = format!("\u{feff}{header}\r\n{LINE}");
+        assert_eq!(read(&bom).unwrap(), [expected]);
+        assert_eq!(read(&format!("\u{feff}{LINE}\n\n")).unwrap(), [expected]);
+    }
+
+    #[test]
+    fn a_table_without_poses_and_a_file_without_end_are_refused() {
+        for text in ["", "\n", "scene_id,im_id,obj_id,score,R,t,time\n"] {
+            let message = read(text).unwrap_err().to_string();
+            assert!(
+                message.ends_with("result table is without a pose, expected at least one line"),
+                "{message}"
+            );
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let message = read_results(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("result table is a folder, expected a regular file"), "{message}");
+        #[cfg(unix)]
+        {
+            let message = read_results(Path::new("/dev/zero")).unwrap_err().to_string();
+            assert!(message.contains("/dev/zero: result table is a pipe, socket or device"), "{message}");
+        }
     }
 
     #[test]
@@ -207,6 +255,22 @@ mod tests {
             ("1,x,3,1,1 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "im_id is x"),
             ("1,0,3,1,1 0 0 0 1 0 0 0 1,0 inf 700,-1".into(), "t is 0 inf 700"),
             ("1,0,3".into(), "3 fields"),
+            (format!("{LINE},7"), "line 1: line is 8 fields, expected 7"),
+            (
+                "1,0,3,,1 0 0 0 1 0 0 0 1,0 0 700,-1".into(),
+                "line 1: score is empty, expected a finite number",
+            ),
+            ("1,0,3,1,1 0 0 0 1 0 0 0 nan,0 0 700,-1".into(), "R is 1 0 0 0 1 0 0 0 nan, expected 9 finite"),
+            ("1,0,3,1,1 0 0 0 1 0 0 0 -1,0 0 700,-1".into(), "expected a rotation matrix"),
+            ("1,0,3,1,1 0 0 0 1 0 0 0 1,0 0 1e308,-1".into(), "t is 0 0 1e308, expected millimetres"),
+            (
+                "1,0,3,1,1 0 0 0 1 0 0 0 1,0 0 700,-0.5".into(),
+                "time is -0.5, expected seconds, -1 when unknown",
+            ),
+            ("1,0,3,1,1 0 0 0 1 0 0 0 1,0 0 700,".into(), "time is empty"),
+            ("1,0,-3,1,1 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "obj_id is -3, expected a non-negative integer"),
+            ("1,0,4294967296,1,1 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "obj_id is 4294967296"),
+            (format!("{LINE}\r\n1.5,0,3,1,1 0 0 0 1 0 0 0 1,0 0 700,-1\r\n"), "line 2: scene_id is 1.5"),
             ("1,0,3,1,2 0 0 0 1 0 0 0 1,0 0 700,-1".into(), "R is 2 0 0 0 1 0 0 0 1, expected a rotation"),
             (
                 format!("{LINE}\n{LINE}"),

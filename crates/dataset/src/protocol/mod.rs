@@ -9,19 +9,25 @@
 mod build;
 mod choice;
 mod error;
+mod id_match;
 mod instances;
 mod overlap;
 mod target_list;
 mod target_poses;
 mod target_walk;
+mod unread_images;
+mod usable_detections;
 
 pub use build::{BuiltList, BuiltLists, ListInput, build_lists};
 pub use choice::Protocol;
 pub use error::ProtocolError;
+pub use id_match::IdMatch;
 use overlap::VisibleSurface;
 pub use target_list::{TargetFiles, TargetList};
 pub use target_poses::{ImagePoses, NO_DETECTION, Rejection, TargetPoses, best_outcome};
 pub use target_walk::{ImageTargets, MIN_DETECTION_SCORE, ObjectTargets};
+pub use unread_images::UnreadImages;
+pub use usable_detections::{MaskProblem, SkippedDetection, UsableDetections};
 
 /// Largest angle between target and reference view of the main protocol, degrees.
 const MAIN_DEG: f64 = 50.0;

@@ -2,10 +2,10 @@
 
 use std::{collections::BTreeSet, path::PathBuf};
 
-use super::ImageTargets;
+use super::{IdMatch, ImageTargets, SkippedDetection, UsableDetections};
 use crate::formats::{
     BopDataset, BopSplit, DatasetSplits, FormatError, ReferenceTarget,
-    detections::{Detection, SkippedDetection, read_detections, usable_detections},
+    detections::{Detection, read_detections},
     targets::{check_reference_targets, read_reference_targets},
 };
 
@@ -37,6 +37,8 @@ pub struct TargetList {
     pub detections: Vec<Detection>,
     /// Detections of the targets' images that cannot be used.
     pub skipped: Vec<SkippedDetection>,
+    /// The ids of all detections against those of the targets.
+    pub ids: IdMatch,
 }
 
 impl TargetList {
@@ -48,23 +50,27 @@ impl TargetList {
         let mut targets = read_reference_targets(&files.targets)?;
         targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
         let place = files.targets.display().to_string();
-        Self::new(dataset, split, reference_split, targets, read_detections(&files.detections)?, &place)
+        let detections = read_detections(&files.detections)?;
+        let places = [place, files.detections.display().to_string()];
+        Self::new(dataset, split, reference_split, targets, detections, places)
     }
 
-    /// From its parts; `place` is the list of targets in messages. Targets and references have to be there, detections with
-    /// masks of no use are put aside.
+    /// From its parts; `places` are the lists of targets and of detections in messages. Targets and references have to be
+    /// there, detections with masks of no use are put aside. An error when no detection of a target is left.
     pub fn new(
         dataset: BopDataset,
         split: BopSplit,
         reference_split: Option<BopSplit>,
         targets: Vec<ReferenceTarget>,
         detections: Vec<Detection>,
-        place: &str,
+        places: [String; 2],
     ) -> Result<Self, FormatError> {
-        check_reference_targets(&targets, place, &split, reference_split.as_ref().unwrap_or(&split))?;
-        let images: BTreeSet<(u32, u32)> = targets.iter().map(|t| (t.scene_id, t.im_id)).collect();
-        let (detections, skipped) = usable_detections(detections, &split, &images)?;
-        Ok(Self { dataset, split, reference_split, targets, detections, skipped })
+        check_reference_targets(&targets, &places[0], &split, reference_split.as_ref().unwrap_or(&split))?;
+        let ids: BTreeSet<[u32; 3]> = targets.iter().map(|t| [t.scene_id, t.im_id, t.obj_id]).collect();
+        let usable = UsableDetections::new(detections, &split, &ids);
+        usable.require_any(&ids, &places[1])?;
+        let UsableDetections { detections, skipped, ids } = usable;
+        Ok(Self { dataset, split, reference_split, targets, detections, skipped, ids })
     }
 
     /// The split of the reference views.

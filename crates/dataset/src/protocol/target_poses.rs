@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use unopose_core::geometry::Pose;
 
-use super::ImageTargets;
-use crate::formats::{PoseResult, detections::Detection};
+use super::{ImageTargets, UnreadImages};
+use crate::formats::{FormatError, PoseResult, detections::Detection};
 
 /// Reason of an object that no detection belongs to.
 pub const NO_DETECTION: &str = "no detection";
@@ -31,6 +31,8 @@ pub struct TargetPoses {
     pub results: Vec<PoseResult>,
     /// Instances without a pose, in the order of the walk.
     pub rejections: Vec<Rejection>,
+    /// Images of targets or references that could not be read; their targets are among the rejections.
+    pub unread: UnreadImages,
     /// Comparisons of an instance with a reference.
     pub pairs: usize,
     /// Seconds of all pairs, references included, files excluded.
@@ -107,6 +109,11 @@ impl<'p> ImagePoses<'p> {
         tracing::debug!("scene {scene_id} image {im_id} object {obj_id}: {reason}");
         let rejection = Rejection { scene_id: *scene_id, im_id: *im_id, obj_id, reason };
         self.poses.rejections.push(rejection);
+    }
+
+    /// Notes that an image of this one's targets or references cannot be read; returns the reason for [`Self::reject`].
+    pub fn unread(&mut self, scene_id: u32, im_id: u32, error: &FormatError) -> String {
+        format!("image cannot be read: {}", self.poses.unread.add(scene_id, im_id, error))
     }
 
     /// Ends the image: every result repeats the time of the whole image, that of the detections and the seconds added

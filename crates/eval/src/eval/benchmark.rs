@@ -58,6 +58,9 @@ pub fn score_poses(
     let mut evaluation = score_results(&list.dataset, &list.split, &targets, &poses.results, &options)?;
     // Measured, where the table only knows the images' times.
     evaluation.scores.mean_time_per_pair_s = poses.mean_time_per_pair_s().unwrap_or(-1.0);
+    let input = &mut evaluation.scores.input;
+    input.add_detections(&list.skipped, &list.ids);
+    input.add_unread(&poses.unread);
     Ok(evaluation)
 }
 

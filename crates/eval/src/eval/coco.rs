@@ -105,15 +105,15 @@ impl Region {
     }
 }
 
-/// Scores the detections in the images of `targets` by their masks or boxes; `place` is the list of detections in messages.
+/// Scores the detections in the images of `targets` by their masks or boxes. A detection whose mask cannot be decoded, or has
+/// another size than the image, is a false alarm.
 pub fn coco_scores(
     split: &BopSplit,
     targets: &[Target],
     detections: &[Detection],
-    place: &str,
     kind: RegionKind,
 ) -> Result<CocoScores, EvalError> {
-    let detections = coco_detections(detections, place, kind)?;
+    let detections = coco_detections(detections, kind);
     Ok(coco_map(&coco_ground_truth(split, targets, kind)?, &detections))
 }
 
@@ -183,29 +183,19 @@ fn coco_ground_truth(
     Ok(found.into_iter().flatten().collect())
 }
 
-/// Detections as they are compared; an error names the entry of the list with the broken mask.
-fn coco_detections(
-    detections: &[Detection],
-    place: &str,
-    kind: RegionKind,
-) -> Result<Vec<CocoDetection>, EvalError> {
-    let convert = |(index, detection): (usize, &Detection)| -> Result<CocoDetection, EvalError> {
-        let region = match kind {
+/// Detections as they are compared; one with a broken mask overlaps nothing.
+fn coco_detections(detections: &[Detection], kind: RegionKind) -> Vec<CocoDetection> {
+    let convert = |detection: &Detection| CocoDetection {
+        scene_id: detection.scene_id,
+        im_id: detection.image_id,
+        obj_id: detection.category_id,
+        score: detection.score,
+        region: match kind {
             RegionKind::Box => Region::Box(detection.bbox),
-            RegionKind::Mask => {
-                let foreground = Foreground::new(&detection.segmentation);
-                Region::Mask(foreground.map_err(|e| e.within(format!("{place}: entry {index}")))?)
-            }
-        };
-        Ok(CocoDetection {
-            scene_id: detection.scene_id,
-            im_id: detection.image_id,
-            obj_id: detection.category_id,
-            score: detection.score,
-            region,
-        })
+            RegionKind::Mask => Region::Mask(Foreground::new(&detection.segmentation).unwrap_or_default()),
+        },
     };
-    detections.iter().enumerate().map(convert).collect()
+    detections.iter().map(convert).collect()
 }
 
 /// One object in one image.

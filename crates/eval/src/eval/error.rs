@@ -38,6 +38,22 @@ pub enum EvalError {
         /// `scene_gt.json` of the first of them, which is absent or lacks the image.
         file: String,
     },
+    /// A table of which no pose belongs to a target.
+    #[error("{file}: {problem}")]
+    NoResultOfTargets {
+        /// The table.
+        file: String,
+        /// The ids that differ.
+        problem: String,
+    },
+    /// No image of the targets could be read.
+    #[error("none of {images} images can be scored: {first}")]
+    NothingRead {
+        /// Number of images of the targets.
+        images: usize,
+        /// What is wrong with the first.
+        first: String,
+    },
     /// An empty list of targets.
     #[error("no targets to score")]
     NoTargets,

@@ -13,6 +13,7 @@ mod bins;
 mod bootstrap;
 mod coco;
 mod error;
+mod input_report;
 mod matching;
 mod object;
 mod options;
@@ -32,6 +33,7 @@ pub use bins::{ROTATION_EDGES, VISIBILITY_EDGES};
 pub use bootstrap::{Interval, average_recall_interval, error_type_intervals, paired_difference};
 pub use coco::{CocoScores, RegionKind, coco_scores};
 pub use error::EvalError;
+pub use input_report::InputReport;
 pub use object::EvalObject;
 pub use outcome::{PoseErrors, TargetOutcome};
 pub use pose_detection::PoseAveragePrecision;
@@ -55,5 +57,7 @@ fn threshold(index: usize) -> f64 {
     0.05 + 0.05 * index as f64
 }
 
+#[cfg(test)]
+mod input_tests;
 #[cfg(test)]
 mod tests;

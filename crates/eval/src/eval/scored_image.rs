@@ -2,8 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use unopose_core::geometry::Pose;
-use unopose_dataset::formats::{BopScene, PoseResult, Target, targets::MIN_VISIBILITY};
+use unopose_core::{
+    frame::DepthMap,
+    geometry::{Intrinsics, Pose},
+};
+use unopose_dataset::{
+    formats::{BopScene, FormatError, PoseResult, Target, targets::MIN_VISIBILITY},
+    protocol::UnreadImages,
+    render::depth::DepthWindow,
+};
 
 use super::{
     EvalError, EvalObject, PoseErrors, REFERENCE_WIDTH, TargetOutcome,
@@ -30,6 +37,12 @@ pub struct ScoredImage {
     pub ranked: Vec<ObjectEstimates>,
     /// Estimates compared with a target.
     pub n_estimates: usize,
+    /// Distances of the targets' true poses, metres.
+    pub distances: Vec<f64>,
+    /// Measured and true depth of each target with an estimate, metres: medians over the pixels of its drawn model.
+    pub depths: Vec<[f64; 2]>,
+    /// The image, when it could not be read.
+    pub unread: UnreadImages,
 }
 
 /// Annotations of an image.
@@ -60,16 +73,23 @@ impl Image<'_> {
         objects: &BTreeMap<u32, EvalObject>,
         options: &ScoreOptions,
     ) -> Result<ScoredImage, EvalError> {
-        let (depth, camera) = (scene.depth(im_id)?, scene.camera(im_id)?.intrinsics);
+        let mut scored = ScoredImage::default();
+        let (depth, camera, results) = match Self::view(scene, im_id) {
+            Ok((depth, camera)) => (depth, camera, self.results.as_slice()),
+            // Without estimates nothing is compared with the view: the image's targets are missed.
+            Err(error) => {
+                scored.unread.add(scene.id, im_id, &error);
+                (DepthMap::zeros(1, 1), Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 }, &[][..])
+            }
+        };
         let view = TestView { depth: &depth, camera: &camera, delta: options.delta };
         let annotation = Annotation { scene, im_id, view, options };
         let counts: BTreeMap<u32, u32> = self.targets.iter().map(|t| (t.obj_id, t.inst_count)).collect();
-        let sorted = top(self.results.iter().map(|r| r.score), self.results.len());
-        let mut scored = ScoredImage::default();
+        let sorted = top(results.iter().map(|r| r.score), results.len());
         for (&obj_id, object) in objects {
             let inst_count = counts.get(&obj_id).copied().unwrap_or(0) as usize;
             let of_object = |best: &[usize]| -> Vec<&PoseResult> {
-                best.iter().map(|&i| self.results[i]).filter(|r| r.obj_id == obj_id).collect()
+                best.iter().map(|&i| results[i]).filter(|r| r.obj_id == obj_id).collect()
             };
             let estimates = of_object(&sorted);
             let ranked = of_object(&sorted[..sorted.len().min(MAX_ESTIMATES)]).len();
@@ -86,6 +106,10 @@ impl Image<'_> {
         }
         Ok(scored)
     }
+
+    fn view(scene: &BopScene, im_id: u32) -> Result<(DepthMap, Intrinsics), FormatError> {
+        Ok((scene.depth(im_id)?, scene.camera(im_id)?.intrinsics))
+    }
 }
 
 impl Annotation<'_> {
@@ -100,9 +124,14 @@ impl ObjectInImage<'_> {
     fn score(&self, annotation: &Annotation, inst_count: usize, scored: &mut ScoredImage) {
         let valid = top(self.instances.iter().map(|i| i.2), inst_count);
         let compared = &self.estimates[..self.estimates.len().min(inst_count)];
-        let errors = self.errors(annotation, &valid, compared);
-        scored.n_estimates += compared.len();
+        let truths = if compared.is_empty() { &[][..] } else { &valid };
         let view = &annotation.view;
+        let rendered: Vec<_> =
+            truths.iter().map(|&i| view.render(self.object, &self.instances[i].1)).collect();
+        let errors = self.errors(view, truths, &rendered, compared);
+        scored.distances.extend(valid.iter().map(|&i| self.instances[i].1.translation.norm()));
+        scored.depths.extend(rendered.iter().filter_map(|window| median_depths(view, window)));
+        scored.n_estimates += compared.len();
         let hits = hits(&errors, valid.len(), self.object.diameter, view.depth.width);
         let assigned = assigned_errors(&errors, valid.len());
         let (scene_id, im_id) = (annotation.scene.id, annotation.im_id);
@@ -125,19 +154,16 @@ impl ObjectInImage<'_> {
         scored.ranked.push(self.ranked(annotation, &valid, &errors));
     }
 
-    /// `[estimate][instance of valid]`.
+    /// `[estimate][truth]`; `rendered` are the true depths of `truths`.
     fn errors(
         &self,
-        annotation: &Annotation,
-        valid: &[usize],
+        view: &TestView,
+        truths: &[usize],
+        rendered: &[DepthWindow],
         compared: &[&PoseResult],
     ) -> Vec<Vec<PoseErrors>> {
-        let view = &annotation.view;
-        let truths = if compared.is_empty() { &[][..] } else { valid };
-        let rendered: Vec<_> =
-            truths.iter().map(|&i| view.render(self.object, &self.instances[i].1)).collect();
         let of_estimate = |estimate: &&PoseResult| -> Vec<PoseErrors> {
-            let pairs = truths.iter().zip(&rendered);
+            let pairs = truths.iter().zip(rendered);
             let t_est = &estimate.t_camera_object;
             pairs.map(|(&i, w)| PoseErrors::new(self.object, view, t_est, &self.instances[i].1, w)).collect()
         };
@@ -172,4 +198,17 @@ impl ObjectInImage<'_> {
             counted: self.instances.iter().enumerate().map(counted).collect(),
         }
     }
+}
+
+/// Measured and drawn depth of an object, metres: medians over its drawn pixels that are measured; `None` without any.
+fn median_depths(view: &TestView, drawn: &DepthWindow) -> Option<[f64; 2]> {
+    let b = &drawn.bounds;
+    let pixels = (b.row_min..b.row_max).flat_map(|row| (b.col_min..b.col_max).map(move |col| (col, row)));
+    let depths = pixels
+        .map(|(col, row)| [view.depth.data[(row * view.depth.width + col) as usize], drawn.get(col, row)]);
+    let [mut measured, mut posed]: [Vec<f32>; 2] =
+        depths.filter(|pair| pair.iter().all(|z| *z > 0.0)).map(|[m, p]| (m, p)).unzip().into();
+    let middle = measured.len() / 2;
+    let median = |values: &mut [f32]| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1);
+    (!measured.is_empty()).then(|| [median(&mut measured), median(&mut posed)])
 }

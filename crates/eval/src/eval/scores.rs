@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use unopose_dataset::formats::{FormatError, files::write_json};
 
 use super::{
-    PoseAccuracy, PoseAveragePrecision, TAUS, THRESHOLDS,
+    InputReport, PoseAccuracy, PoseAveragePrecision, TAUS, THRESHOLDS,
     bins::{ROTATION_EDGES, VISIBILITY_EDGES, bin_of},
     outcome::TargetOutcome,
 };
@@ -78,6 +78,9 @@ pub struct Scores {
     pub per_visibility: Vec<BinScore>,
     /// By degrees between target and reference view; empty when no list of references was given.
     pub per_rotation: Vec<BinScore>,
+    /// Input that was left out, and warnings.
+    #[serde(flatten)]
+    pub input: InputReport,
 }
 
 /// Recalls of one group of targets.
@@ -164,6 +167,7 @@ impl Scores {
             per_scene: grouped(targets, |t| t.scene_id),
             per_visibility: binned(targets, &VISIBILITY_EDGES, |t| Some(t.visib_fract)),
             per_rotation: binned(targets, &ROTATION_EDGES, |t| t.rot_deg),
+            input: InputReport::default(),
         }
     }
 

@@ -6,16 +6,21 @@ use std::{
 };
 
 use rayon::prelude::*;
-use unopose_dataset::formats::{
-    BopDataset, BopSplit, DatasetSplits, PoseResult, Target,
-    files::write_json,
-    results::read_results,
-    targets::{read_annotated_targets, read_reference_targets},
+use unopose_dataset::{
+    formats::{
+        BopDataset, BopSplit, DatasetSplits, PoseResult, Target,
+        files::write_json,
+        results::read_results,
+        targets::{read_annotated_targets, read_reference_targets},
+        units,
+    },
+    protocol::{IdMatch, UnreadImages},
 };
 
 use super::{
     EvalError, EvalObject, PoseAveragePrecision, Scores, TargetOutcome,
     bins::RotationBins,
+    input_report::model_problems,
     options::ScoreOptions,
     scored_image::{Image, ScoredImage},
     scores::{EstimateCounts, MeanTimes},
@@ -52,7 +57,7 @@ pub struct ScoreFiles {
     pub references: Option<PathBuf>,
 }
 
-/// Scores a result table.
+/// Scores a result table. An error when none of its poses belongs to a target.
 pub fn score_files(
     files: &ScoreFiles,
     progress: &(dyn Fn(usize, usize) + Sync),
@@ -62,6 +67,10 @@ pub fn score_files(
     let targets_path = files.targets.clone().unwrap_or_else(|| dataset.targets_file());
     let targets = annotated(&split, read_annotated_targets(&targets_path, &split)?)?;
     let results = read_results(&files.results)?;
+    let ids = result_ids(&targets, &results);
+    if let (true, Some(problem)) = (ids.unmatched == ids.entries, ids.message("results")) {
+        return Err(EvalError::NoResultOfTargets { file: files.results.display().to_string(), problem });
+    }
     let references = match &files.references {
         Some(path) => Some(read_reference_targets(path)?),
         None => read_reference_targets(&targets_path).ok(),
@@ -110,14 +119,11 @@ pub(super) fn score_results(
         return Err(EvalError::NoTargets);
     }
     let objects = EvalObject::load_all(dataset, targets.iter().map(|t| t.obj_id).collect::<BTreeSet<_>>())?;
-    let is_target: BTreeSet<_> = targets.iter().map(|t| (t.scene_id, t.im_id, t.obj_id)).collect();
     let mut images: BTreeMap<(u32, u32), Image> = BTreeMap::new();
     for target in targets {
         images.entry((target.scene_id, target.im_id)).or_default().targets.push(target);
     }
-    let mut strangers = 0;
     for result in results {
-        strangers += usize::from(!is_target.contains(&(result.scene_id, result.im_id, result.obj_id)));
         if let Some(image) = images.get_mut(&(result.scene_id, result.im_id)) {
             image.results.push(result);
         }
@@ -128,17 +134,56 @@ pub(super) fn score_results(
         .par_iter()
         .map(|((scene_id, im_id), image)| {
             let scene = split.scene(*scene_id)?;
-            let scored = image.score(&scene, *im_id, &objects, options)?;
+            let scored = match image.score(&scene, *im_id, &objects, options) {
+                // Annotation that cannot be read costs the image: its targets are not known.
+                Err(EvalError::Format(error)) => {
+                    let mut scored = ScoredImage::default();
+                    scored.unread.add(*scene_id, *im_id, &error);
+                    scored
+                }
+                scored => scored?,
+            };
             let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             (options.progress)(count, images.len());
             Ok(scored)
         })
         .collect::<Result<_, EvalError>>()?;
-    let counts = EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers };
+    let ids = result_ids(targets, results);
+    let counts =
+        EstimateCounts { compared: scored.iter().map(|i| i.n_estimates).sum(), strangers: ids.unmatched };
+    let mut unread = UnreadImages::default();
+    scored.iter().for_each(|image| unread.merge(&image.unread));
+    if unread.len() == images.len() {
+        let first = unread.by_cause().swap_remove(0);
+        return Err(EvalError::NothingRead { images: images.len(), first });
+    }
+    let mut warnings = model_problems(&objects, &dataset.models_info_place());
+    warnings.extend(ids.is_suspicious().then(|| ids.message("results")).flatten());
+    warnings.extend(pose_problems(&scored, results));
     let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
     let (targets, ranked) = (targets.concat(), ranked.concat());
-    let scores = Scores::new(&targets, PoseAveragePrecision::new(&ranked), counts, mean_times(results));
+    let mut scores = Scores::new(&targets, PoseAveragePrecision::new(&ranked), counts, mean_times(results));
+    scores.input.warnings = warnings;
+    scores.input.add_unread(&unread);
     Ok(Evaluation { scores, targets })
+}
+
+/// The ids of the results against those of the targets.
+fn result_ids(targets: &[Target], results: &[PoseResult]) -> IdMatch {
+    let results: Vec<_> = results.iter().map(|r| [r.scene_id, r.im_id, r.obj_id]).collect();
+    IdMatch::new(&results, &targets.iter().map(|t| [t.scene_id, t.im_id, t.obj_id]).collect())
+}
+
+/// Units that the distances of poses and the measured depth give away.
+fn pose_problems(scored: &[ScoredImage], results: &[PoseResult]) -> Vec<String> {
+    let mut annotated: Vec<f64> = scored.iter().flat_map(|image| image.distances.iter().copied()).collect();
+    let mut table: Vec<f64> = results.iter().map(|r| r.t_camera_object.translation.norm()).collect();
+    let mut problems = units::table_problems(&mut table, &mut annotated);
+    let depth = |which: usize| -> Vec<f64> {
+        scored.iter().flat_map(|image| image.depths.iter().map(|depths| depths[which])).collect()
+    };
+    problems.extend(units::depth_problem(&mut depth(0), &mut depth(1)));
+    problems
 }
 
 /// Every line of an image repeats the image's time; a negative one makes the mean unknown.

@@ -53,7 +53,7 @@ pub fn score_segmentation(
     proposals: &[Detection],
     [seconds, proposal_seconds]: [&[f64]; 2],
 ) -> Result<SegmentationScores, EvalError> {
-    let scores = coco_scores(split, targets, detections, "detections", RegionKind::Mask)?;
+    let scores = coco_scores(split, targets, detections, RegionKind::Mask)?;
     let mut by_image: BTreeMap<(u32, u32), Vec<Foreground>> = BTreeMap::new();
     for proposal in proposals {
         let image = by_image.entry((proposal.scene_id, proposal.image_id)).or_default();

@@ -5,7 +5,10 @@ use unopose_core::{
     geometry::Pose,
 };
 use unopose_dataset::{
-    formats::bop::{GtInfoRecord, GtRecord},
+    formats::{
+        bop::{GtInfoRecord, GtRecord},
+        units,
+    },
     mesh::TriangleMesh,
     render::depth::{DepthWindow, render_depth},
 };
@@ -14,8 +17,6 @@ use super::{models::Models, report::Finding, statistics::Statistics};
 
 /// Focal lengths of cameras, image widths.
 const FOCAL: std::ops::RangeInclusive<f64> = 0.2..=20.0;
-/// Distances of annotated objects, metres; what lies outside was written in another unit.
-const DISTANCE: std::ops::RangeInclusive<f64> = 0.02..=20.0;
 /// Silhouettes and depth of fewer pixels are not compared.
 const FEWEST_PIXELS: usize = 100;
 /// Largest share of a silhouette farther than a pixel from the model's.
@@ -108,12 +109,8 @@ impl ImageUnderCheck<'_> {
             Err(error) => return vec![error.to_string()],
         };
         let mut wrong = counts(info, self.masks.get(i), visible, &self.frame.depth);
-        let distance = pose.translation.norm();
-        if !DISTANCE.contains(&distance) {
-            wrong.push(format!(
-                "lies {:.1} mm from the camera; cam_t_m2c is expected in millimetres",
-                distance * 1000.0
-            ));
+        if let Some(problem) = units::distance_problem(pose.translation.norm()) {
+            wrong.push(problem);
             return wrong;
         }
         statistics.distance.add(pose.translation.z);

@@ -7,7 +7,7 @@ use std::{
 };
 
 use unopose_dataset::{
-    formats::{FormatError, ModelInfo, models::read_models_info},
+    formats::{FormatError, ModelInfo, models::read_models_info, units},
     mesh::{self, TriangleMesh},
 };
 
@@ -15,8 +15,6 @@ use super::report::Finding;
 
 /// Models kept in memory at a time.
 const KEPT: usize = 256;
-/// Objects that a camera on a desk or a robot looks at, metres.
-const DIAMETER: std::ops::RangeInclusive<f64> = 0.005..=5.0;
 
 /// The model folder of a set.
 #[derive(Debug, Default)]
@@ -68,8 +66,8 @@ impl Models {
     fn compare(&self, obj_id: u32, path: &Path, mesh: &TriangleMesh) {
         let own = f64::from(mesh.diameter());
         let finding = |what: String| self.note(obj_id, Finding::new(path.display(), what));
-        if !DIAMETER.contains(&own) {
-            finding(format!("diameter is {:.3} mm; models are expected in millimetres", own * 1000.0));
+        if let Some(problem) = units::diameter_problem(own) {
+            finding(problem);
         } else if let Some(info) = self.infos.get(&obj_id) {
             if (own - info.diameter).abs() > 0.02 * own {
                 let (own, said) = (own * 1000.0, info.diameter * 1000.0);
