@@ -186,6 +186,24 @@ mod tests {
             (r#"{"diameter": 1, "symmetries_continuous": [{"axis": [0,0,0]}]}"#, "axis"),
             (r#"{"diameter": 1, "symmetries_discrete": [[1,0,0,0]]}"#, "line 1"),
             (r#"{"size_x": 1}"#, "diameter"),
+            (r#"{"diameter": NaN}"#, "3.diameter: invalid type: string \"NaN\""),
+            (r#"{"diameter": null}"#, "3.diameter: invalid type: null"),
+            (r#"{"diameter": -5}"#, "diameter is -5"),
+            (r#"{"diameter": 1, "size_y": -2}"#, "size_y is -2"),
+            (
+                r#"{"diameter": 1, "symmetries_discrete": [[1,0,0,0, 0,1,0,0, 0,0,-1,0, 0,0,0,1]]}"#,
+                "a rigid 4x4",
+            ),
+            (
+                r#"{"diameter": 1, "symmetries_discrete": [[1,0,0,0, 0,1,0,0, 0,0,1,0, 5,0,0,1]]}"#,
+                "a rigid 4x4",
+            ),
+            (
+                r#"{"diameter": 1, "symmetries_continuous": [{"axis": [0,1]}]}"#,
+                "3.symmetries_continuous[0].axis",
+            ),
+            (r#"{"diameter": 1}, "03": {"diameter": 2}"#, "3 is there twice"),
+            (r#"{"diameter": 1}, "x": {"diameter": 2}"#, "key \"x\", expected an id"),
         ] {
             std::fs::write(&path, format!(r#"{{"3": {entry}}}"#)).unwrap();
             let message = read_models_info(&path).unwrap_err().to_string();

@@ -264,40 +264,5 @@ pub fn write_targets<T: Serialize>(path: &Path, targets: &[T]) -> Result<(), For
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_reference_list_is_a_target_list() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("targets.json");
-        let entry = |ref_im_id, rot_deg| ReferenceTarget {
-            scene_id: 2,
-            im_id: 4,
-            obj_id: 1,
-            ref_scene_id: 101,
-            ref_im_id,
-            rot_deg,
-            overlap: None,
-        };
-        let list = [entry(0, Some(12.5)), entry(1, None)];
-        write_targets(&path, &list).unwrap();
-        assert_eq!(read_reference_targets(&path).unwrap(), list);
-        let expected = Target { scene_id: 2, im_id: 4, obj_id: 1, inst_count: 1 };
-        assert_eq!(read_targets(&path).unwrap(), [expected]);
-        let message = read_reference_targets(&folder.path().join("absent.json")).unwrap_err().to_string();
-        assert!(message.contains("absent.json"), "{message}");
-    }
-
-    #[test]
-    fn useless_lists_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("targets.json");
-        let zero = r#"[{"scene_id":1,"im_id":0,"obj_id":1,"inst_count":0}]"#;
-        for (text, part) in [("[]", "empty"), (zero, "inst_count is 0"), (r#"[{"scene_id":1}]"#, "im_id")] {
-            std::fs::write(&path, text).unwrap();
-            let message = read_targets(&path).unwrap_err().to_string();
-            assert!(message.contains("targets.json") && message.contains(part), "{message}");
-        }
-    }
-}
+#[path = "targets_tests.rs"]
+mod tests;

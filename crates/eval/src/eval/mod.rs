@@ -60,4 +60,6 @@ fn threshold(index: usize) -> f64 {
 #[cfg(test)]
 mod input_tests;
 #[cfg(test)]
+mod list_tests;
+#[cfg(test)]
 mod tests;

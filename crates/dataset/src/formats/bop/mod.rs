@@ -181,4 +181,6 @@ impl BopDataset {
 }
 
 #[cfg(test)]
+mod folder_tests;
+#[cfg(test)]
 mod tests;
