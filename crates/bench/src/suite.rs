@@ -1,6 +1,6 @@
 //! All methods on a list, with everything that is written about them.
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use unopose_dataset::protocol::TargetList;
 use unopose_eval::eval::{score_poses, write_poses};
@@ -41,6 +41,8 @@ impl Suite<'_> {
     /// Runs and scores every method with every refinement and writes poses, scores, tables and the page into `folder`.
     pub fn run(&self, list: &TargetList, facts: &ListFacts, folder: &Path) -> Result<(), BenchError> {
         let (mut runs, mut examples, mut switches) = (Vec::new(), Vec::new(), Vec::new());
+        // What is wrong with the input is the same for all methods and told once.
+        let mut told = BTreeSet::new();
         for method in self.methods {
             for &refinement in self.refinements {
                 let refined = Refined { estimator: method.estimator.as_ref(), refinement };
@@ -54,6 +56,11 @@ impl Suite<'_> {
                 let show = |done, total| (self.progress)(&scoring, done, total);
                 let evaluation = score_poses(list, &run.poses, self.score_targets, &show)?;
                 evaluation.write(&folder.join(&name))?;
+                for warning in &evaluation.scores.input.warnings {
+                    if told.insert(warning.clone()) {
+                        tracing::warn!("{name}: {warning}");
+                    }
+                }
                 examples.push(Examples::draw(list, &run, &evaluation, folder)?);
                 switches.push(method.switches);
                 runs.push((run, evaluation));

@@ -73,15 +73,21 @@ fn listed(ids: &BTreeSet<u32>) -> String {
     all.join(" ")
 }
 
-/// A difference of the ids of one field with which at least half of the entries, or as many as half of the targets, would
-/// match, and more than twice as many as do.
+/// A difference of the ids of one field that explains the entries without a target: with it, all match and the ids begin and
+/// end as those of the targets, or more than twice as many match as do now and they are half of the entries or targets.
 fn offset(entries: &[Ids], matched: usize, targets: &BTreeSet<Ids>) -> Option<String> {
-    let smallest = |field: usize| -> Option<i64> {
-        let of = |ids: &Ids| i64::from(ids[field]);
-        Some(entries.iter().map(of).min()? - targets.iter().map(of).min()?)
+    let ends = |field: usize| -> Option<[i64; 2]> {
+        let difference = |of_entries: Option<u32>, of_targets: Option<u32>| {
+            Some(i64::from(of_entries?) - i64::from(of_targets?))
+        };
+        let (entries, targets) = (entries.iter().map(|ids| ids[field]), targets.iter().map(|ids| ids[field]));
+        Some([
+            difference(entries.clone().min(), targets.clone().min())?,
+            difference(entries.max(), targets.max())?,
+        ])
     };
-    let candidates =
-        (0..3).flat_map(|field| [1, -1].into_iter().chain(smallest(field)).map(move |k| (field, k)));
+    let ends = [ends(0)?, ends(1)?, ends(2)?];
+    let candidates = (0..3).flat_map(|field| [1, -1, ends[field][0]].map(|k| (field, k)));
     let explained = |&(field, k): &(usize, i64)| {
         let shifted = |ids: &&Ids| {
             let mut ids = **ids;
@@ -94,8 +100,9 @@ fn offset(entries: &[Ids], matched: usize, targets: &BTreeSet<Ids>) -> Option<St
     };
     let best = candidates.map(|candidate| (explained(&candidate), candidate)).max_by_key(|(count, _)| *count);
     let (count, (field, k)) = best?;
-    let enough = 2 * count >= entries.len().min(targets.len()).max(1);
-    (count > 2 * matched && enough).then(|| {
+    let all = count == entries.len() && ends[field] == [k; 2];
+    let most = count > 2 * matched && 2 * count >= entries.len().min(targets.len()).max(1);
+    (all || most).then(|| {
         let (field, direction, k) = (FIELDS[field], if k > 0 { "large" } else { "small" }, k.abs());
         format!("the {field} ids of the file look too {direction} by {k}: {count} would match then")
     })
@@ -123,6 +130,15 @@ mod tests {
         assert!(found.contains("object ids of the file look too small by 1: 2 would match"), "{found}");
         let found = message(&[[48, 0, 3], [48, 0, 7]], &targets).unwrap();
         assert!(found.contains("scene ids of the file look too large by 47"), "{found}");
+        // A video of which all but one frame match by accident.
+        let [file, frames] =
+            [1, 0].map(|first| (first..first + 10).map(|im| [1, im, 1]).collect::<Vec<Ids>>());
+        let found = message(&file, &frames).unwrap();
+        assert!(
+            found.starts_with("1 of 10 detections match no target")
+                && found.contains("image ids of the file look too large by 1"),
+            "{found}"
+        );
         assert_eq!(message(&targets, &targets), None);
         assert_eq!(message(&[], &targets), None);
     }

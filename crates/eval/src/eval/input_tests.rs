@@ -30,9 +30,18 @@ fn in_metres(results: [PoseResult; 2]) -> [PoseResult; 2] {
     })
 }
 
-fn change(path: &Path, change: impl Fn(&str) -> String) {
-    let text = std::fs::read_to_string(path).unwrap();
-    std::fs::write(path, change(&text)).unwrap();
+/// The annotation of scene 1 with translations in metres.
+fn annotate_in_metres(root: &Path) {
+    let path = root.join("test/000001/scene_gt.json");
+    let mut images: serde_json::Value = read_json(&path).unwrap();
+    for instance in
+        images.as_object_mut().unwrap().values_mut().flat_map(|image| image.as_array_mut().unwrap())
+    {
+        for number in instance["cam_t_m2c"].as_array_mut().unwrap() {
+            *number = (number.as_f64().unwrap() / 1000.0).into();
+        }
+    }
+    std::fs::write(&path, images.to_string()).unwrap();
 }
 
 #[test]
@@ -41,10 +50,10 @@ fn metres_for_millimetres_are_given_away_by_medians_and_sizes() {
     let root = folder.path();
     write_dataset(root);
     assert_eq!(input(root, &results()), InputReport::default());
-    let table = "median distance of the table's poses is 1.0, of the annotations 1000 (mm): are the table's translations in \
+    let table = "median distance of the table's poses is 1.0, of the annotations 1011 (mm): are the table's translations in \
                  metres?";
     let evaluation = score(root, &in_metres(results())).unwrap();
-    // 1.011 mm is the larger of the two.
+    // Of 1.011 and 1 m.
     assert_eq!(evaluation.scores.input.warnings, [table]);
     evaluation.write(&root.join("out")).unwrap();
     let written: serde_json::Value = read_json(&root.join("out/scores.json")).unwrap();
@@ -70,8 +79,7 @@ fn metres_for_millimetres_are_given_away_by_medians_and_sizes() {
     write_atomic(&model, |out| ply::write(&square(), 1000.0, None, out)).unwrap();
 
     // Annotations, with a right table and with one that is wrong in the same way.
-    let annotations = root.join("test/000001/scene_gt.json");
-    change(&annotations, |text| text.replace("1000.0]", "1.0]").replace("150.0", "0.15"));
+    annotate_in_metres(root);
     let truth = "median distance of the annotations is 1.0 (mm): are cam_t_m2c in metres?";
     assert_eq!(input(root, &results()).warnings, [truth]);
     let warnings = input(root, &in_metres(results())).warnings;
