@@ -3,13 +3,16 @@
 use std::{io::Write, path::Path};
 
 use serde::{Serialize, de::DeserializeOwned};
-use unopose_core::files::write_atomic;
+use unopose_core::files::{read_regular, write_atomic};
 
 use super::FormatError;
 
+/// Bytes of the largest JSON file.
+const MAX_JSON: u64 = 4 << 30;
+
 /// Parses a JSON file; the error names the file, line and column.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FormatError> {
-    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
+    let bytes = read_regular(path, MAX_JSON).map_err(|e| FormatError::io(path, e))?;
     serde_json::from_slice(&bytes).map_err(|source| FormatError::Json { path: path.to_path_buf(), source })
 }
 
