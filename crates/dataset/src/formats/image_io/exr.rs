@@ -13,17 +13,25 @@ use super::{
     samples::{Samples, Values},
 };
 
+/// All channels of all parts are decoded, four bytes each.
+const MAX_NUMBERS: u64 = 400_000_000;
+
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Samples, FormatError> {
     let error = |source: exr::error::Error| {
         let format = image::error::ImageFormatHint::Name("OpenEXR".to_owned());
         image_error(path, image::ImageError::Decoding(image::error::DecodingError::new(format, source)))
     };
     let chunks = exr::block::read(Cursor::new(bytes), false).map_err(error)?;
+    let mut numbers = 0;
     for header in chunks.headers() {
-        let size = header.layer_size;
-        // Every channel is as large as the image.
-        let channels = header.channels.list.len() as u64;
-        check_size(path, [size.width() as u64, size.height() as u64 * channels], bytes.len() as u64)?;
+        let (size, channels) = (header.layer_size, header.channels.list.len().max(1) as u64);
+        let [width, height] = [size.width() as u64, size.height() as u64];
+        check_size(path, [width, height], bytes.len() as u64 / channels)?;
+        numbers += width * height * channels;
+    }
+    if numbers > MAX_NUMBERS {
+        let expected = format!("at most {MAX_NUMBERS} in all channels");
+        return Err(FormatError::field(path.display(), "number of values", numbers, expected));
     }
     let file =
         reader().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();

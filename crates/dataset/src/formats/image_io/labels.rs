@@ -123,7 +123,12 @@ pub(super) fn labels(bytes: &[u8], path: &Path, always_indices: bool) -> Result<
             (values, colored, u8::MAX.into())
         }
     };
-    let lossy = format == Some(ImageFormat::Jpeg);
+    let lossy = match format {
+        Some(ImageFormat::Jpeg) => true,
+        // Its other kind is lossless.
+        Some(ImageFormat::WebP) => !bytes.windows(4).any(|name| name == b"VP8L"),
+        _ => false,
+    };
     // Compression shifts hues.
     let values = match colored && lossy {
         true => {

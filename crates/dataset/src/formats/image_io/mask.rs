@@ -3,7 +3,7 @@
 //! * The alpha channel, where it varies: a cut-out. Its colours must not be a mask of their own that says otherwise.
 //! * One value apart from 0 (or one colour apart from black): its pixels.
 //! * Gray that rises from 0 to the largest number without plateaus (smoothed edges, probabilities): cut at half; likewise
-//!   every jpeg, whose values are not exact.
+//!   every jpeg and lossy webp, whose values are not exact.
 //! * Other values are a label map, in which one has to be chosen. A palette's values are its indices.
 
 use std::{fmt, path::Path, str::FromStr};
@@ -67,7 +67,7 @@ pub fn read_mask_value(path: &Path, value: Option<MaskValue>) -> Result<Mask, Fo
         Err(FormatError::field(path.display(), "--mask-value", value, expected))
     };
     if labels.lossy {
-        return wrong(value.to_string(), "a mask without losses (png): values of jpeg are not exact".into());
+        return wrong(value.to_string(), "a lossless format such as png: values of jpeg are not exact".into());
     }
     let number = match (value, labels.colored) {
         (MaskValue::Number(number), false) => number,
@@ -109,7 +109,7 @@ fn mask_from(labels: Labels, path: &Path, hint: &str) -> Result<Mask, FormatErro
             true => Ok(labels.select(|v| v >= soft::half(u8::MAX.into()))),
             false => {
                 let expected = "black and white areas; this looks like a photograph or a label map";
-                Err(FormatError::field(path.display(), "mask", "a jpeg with other gray values", expected))
+                Err(FormatError::field(path.display(), "mask", "gray areas in a lossy format", expected))
             }
         };
     }
