@@ -33,7 +33,7 @@ pub fn result_file_name(method: &str, dataset: &str, split: &str) -> String {
 
 /// Reads a result table with or without its header line; a missing `time` column counts as unknown.
 pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
-    let file = std::fs::File::open(path).map_err(|e| FormatError::io(path, e))?;
+    let file = unopose_core::files::open_regular(path).map_err(|e| FormatError::io(path, e))?;
     let csv_error = |source| FormatError::Csv { path: path.to_path_buf(), source };
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)

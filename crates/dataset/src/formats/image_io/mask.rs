@@ -67,7 +67,10 @@ pub fn read_mask_value(path: &Path, value: Option<MaskValue>) -> Result<Mask, Fo
         Err(FormatError::field(path.display(), "--mask-value", value, expected))
     };
     if labels.lossy {
-        return wrong(value.to_string(), "a lossless format such as png: values of jpeg are not exact".into());
+        return wrong(
+            value.to_string(),
+            "a lossless format such as png: values of jpeg are not exact".into(),
+        );
     }
     let number = match (value, labels.colored) {
         (MaskValue::Number(number), false) => number,
