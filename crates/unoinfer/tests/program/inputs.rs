@@ -64,7 +64,8 @@ fn a_path_need_not_be_text() {
     ];
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_unoinfer"));
     command.arg("estimate").arg("--query-mask").arg(&mask);
-    let output = command.args(named.iter().flat_map(|(f, file)| [f.into(), files.at(file).into_os_string()]));
+    let output =
+        command.args(named.iter().flat_map(|(f, file)| [(*f).into(), files.at(file).into_os_string()]));
     let output = output.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let value: serde_json::Value = read_json(&files.at("out/pose.json")).unwrap();

@@ -162,9 +162,11 @@ fn indexed(bytes: &[u8], path: &Path, always: bool) -> Result<Option<Labels>, Fo
         _ => return Ok(None),
     };
     let (width, height) = (reader.info().width, reader.info().height);
-    let mut packed = vec![0; reader.output_buffer_size().unwrap_or_default()];
+    let (Some(length), Some(line)) = (reader.output_buffer_size(), reader.output_line_size(width)) else {
+        return Ok(None);
+    };
+    let mut packed = vec![0; length];
     reader.next_frame(&mut packed).map_err(error)?;
-    let line = reader.output_line_size(width);
     let mut values = Vec::with_capacity(width as usize * height as usize);
     for row in packed.chunks_exact(line) {
         // Leftmost pixel in the highest bits.
@@ -202,7 +204,7 @@ fn of_palette(mut labels: Labels, palette: &[u8], always: bool) -> Option<Labels
     }
     // Black is background, and is so in its place where no index 0 is used.
     if !used.contains(&0)
-        && let [&background] = black.as_slice()
+        && let &[&background] = black.as_slice()
     {
         for value in labels.values.iter_mut().filter(|v| **v == background) {
             *value = 0;

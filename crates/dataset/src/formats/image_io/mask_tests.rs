@@ -87,7 +87,7 @@ fn soft_edges_are_cut_at_half() {
     let expected: Vec<bool> = (0..480).map(|i| smooth_disc(i % 24, i / 24) >= 128).collect();
     // A ramp that is wider than the image with flat ends, as a network's probabilities have.
     let ramp =
-        |x: u32, _: u32| [0, 0, 0, 2, 2, 2, 2].get(x as usize).copied().unwrap_or((x * 18).min(255) as u8);
+        |x: u32, _: u32| [0, 0, 0, 2, 2, 2, 2].get(x as usize).copied().unwrap_or((x * 14).min(255) as u8);
     let path = folder.path().join("a.png");
     for image in [
         gray(smooth_disc),
