@@ -1,5 +1,5 @@
 //! What every part of unopose builds on: configuration, geometry on plain slices, RGB-D views in memory, vector arithmetic
-//! and files that are whole or absent. No tensors, no dataset formats.
+//! and files: written whole, read where they have an end. No tensors, no dataset formats.
 
 pub mod config;
 pub mod files;

@@ -38,6 +38,6 @@ pub use target_references::{PosedReference, TargetReferences};
 pub use targets::estimate_targets;
 pub use trace::{FineTrace, PairTrace, sparse_points};
 pub use uniforms::Uniforms;
-pub use view_files::{View, ViewFiles, query_folder};
+pub use view_files::{View, ViewFiles, ViewRole, query_folder};
 
 pub use unopose_pairs::registration::{IcpOutcome, IcpReference, Refinement, icp::refine_with, refine};

@@ -32,7 +32,8 @@ impl ListedProposals {
         for list in images.values_mut() {
             list.sort_by(|a, b| b.score.total_cmp(&a.score));
         }
-        let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
+        let bytes =
+            unopose_core::files::read_regular(path, u64::MAX).map_err(|e| FormatError::io(path, e))?;
         Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), images })
     }
 }

@@ -7,13 +7,18 @@ use clap::Args;
 use image::Rgb;
 use serde_json::json;
 use unopose_core::{explain, frame::MaskedView, geometry::Pose};
-use unopose_dataset::formats::files::write_json;
+use unopose_dataset::formats::{files::write_json, image_io::MaskValue};
 use unopose_eval::report::overlay;
-use unopose_infer::{Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, query_folder};
+use unopose_infer::{
+    Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, ViewRole, query_folder,
+};
 use unopose_segment::AnyMatcher;
 
 use super::{
-    mask_finder::MaskFinder, options::EstimatorOptions, progress::ProgressDisplay, proposals::ProposalOptions,
+    mask_finder::MaskFinder,
+    options::{EstimatorOptions, MaskOptions},
+    progress::ProgressDisplay,
+    proposals::ProposalOptions,
 };
 
 /// Colours of the instances' points.
@@ -28,10 +33,11 @@ const COLORS: [Rgb<u8>; 6] = [
 
 #[derive(Args)]
 pub struct EstimateArguments {
-    /// Colour image of the query
+    /// Colour image of the query: png, jpeg, webp, tiff or bmp
     #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
     query_rgb: Option<PathBuf>,
-    /// Depth image of the query, registered to the colour image
+    /// Depth image of the query, registered to the colour image: 16-bit png, tiff or pgm, npy; or floats in metres: tiff,
+    /// OpenEXR, npy, pfm
     #[arg(long, value_name = "FILE", required_unless_present = "query_dir")]
     query_depth: Option<PathBuf>,
     /// Mask of an instance in the query; several times for several instances [default: found by segmentation, exit code
@@ -44,8 +50,9 @@ pub struct EstimateArguments {
     descriptor: Option<PathBuf>,
     #[command(flatten)]
     proposals: ProposalOptions,
-    /// Folder of queries instead: rgb/NAME.png|jpg, depth/NAME.png, mask/NAME.png or mask/NAME_*.png, and camera.json
-    /// when it is not --camera; without mask/ the object is found in every view; results go to OUT/NAME/
+    /// Folder of queries instead: rgb/NAME.png|jpg|webp, depth/NAME.png|tif|npy|exr|pgm|pfm, mask/NAME.png or
+    /// mask/NAME_*.png, and camera.json when it is not --camera; without mask/ the object is found in every view; results
+    /// go to OUT/NAME/
     #[arg(long, value_name = "DIR", conflicts_with_all = ["query_rgb", "query_depth", "query_mask"])]
     query_dir: Option<PathBuf>,
     /// Colour image of the reference
@@ -57,6 +64,11 @@ pub struct EstimateArguments {
     /// Mask of the object in the reference
     #[arg(long, value_name = "FILE", required_unless_present = "reference")]
     reference_mask: Option<PathBuf>,
+    #[command(flatten)]
+    masks: MaskOptions,
+    /// --mask-value of --reference-mask [default: --mask-value]
+    #[arg(long, value_name = "N", requires = "reference_mask")]
+    reference_mask_value: Option<MaskValue>,
     /// A reference kept by --save-reference, instead of its images
     #[arg(long, value_name = "FILE", conflicts_with_all = ["reference_rgb", "reference_depth", "reference_mask", "reference_camera"])]
     reference: Option<PathBuf>,
@@ -96,7 +108,8 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
-        if let Err(error) = estimate_query(&estimator, &reference, finder.as_ref(), files, &out) {
+        let mask_value = arguments.masks.mask_value;
+        if let Err(error) = estimate_query(&estimator, &reference, finder.as_ref(), files, mask_value, &out) {
             // One bad query of a folder does not stop the others.
             if queries.len() == 1 {
                 return Err(error);
@@ -126,7 +139,8 @@ fn reference(
         masks: arguments.reference_mask.iter().cloned().collect(),
         camera: arguments.reference_camera.clone().unwrap_or_else(|| arguments.camera.clone()),
     };
-    let view = files.read()?;
+    let value = arguments.reference_mask_value.or(arguments.masks.mask_value);
+    let view = files.read_as(ViewRole::Reference, value)?;
     let mask = view.masks.first().context("--reference-mask is missing")?;
     let reference = estimator.reference(&view.frame, mask).with_context(|| place(&files, 0))?;
     if let Some(path) = &arguments.save_reference {
@@ -156,9 +170,10 @@ fn estimate_query(
     reference: &Reference,
     finder: Option<&MaskFinder<'_>>,
     files: &ViewFiles,
+    mask_value: Option<MaskValue>,
     out: &Path,
 ) -> anyhow::Result<()> {
-    let view = files.read()?;
+    let view = files.read_as(ViewRole::Query, mask_value)?;
     match finder {
         Some(finder) if view.masks.is_empty() => {
             let (view, files) = finder.complete(view, files, out)?;
@@ -214,7 +229,7 @@ fn record(
                 Ok(estimate) => fields(estimate),
                 Err(error) => json!({ "error": error.to_string() }),
             };
-            value["mask"] = json!(mask);
+            value["mask"] = json!(mask.display().to_string());
             value
         })
         .collect();

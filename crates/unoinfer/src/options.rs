@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use unopose_cli::DeviceOption;
 use unopose_core::config::Precision;
-use unopose_dataset::formats::DatasetSplits;
+use unopose_dataset::formats::{DatasetSplits, image_io::MaskValue};
 use unopose_infer::{InferError, PoseEstimator, Refinement};
 use unopose_nn::device::DeviceChoice;
 
@@ -33,6 +33,15 @@ impl SplitOptions {
             sensor: self.sensor.clone(),
         }
     }
+}
+
+/// How mask files are read.
+#[derive(Args)]
+pub struct MaskOptions {
+    /// Mask files are label maps: the object is the pixels with this gray value or palette index, or with the colour R,G,B
+    /// [default: masks have one value apart from 0, or an alpha channel that cuts the object out]
+    #[arg(long, value_name = "N")]
+    pub mask_value: Option<MaskValue>,
 }
 
 /// The network and how it runs.

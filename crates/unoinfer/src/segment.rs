@@ -12,25 +12,26 @@ use unopose_dataset::formats::{
     FormatError,
     camera::read_camera,
     detections::write_detections,
-    image_io::{read_depth, read_rgb, write_mask},
+    image_io::{read_depth_by, read_rgb, write_mask},
 };
 use unopose_eval::report::overlay;
-use unopose_infer::ViewFiles;
+use unopose_infer::{ViewFiles, ViewRole};
 use unopose_segment::{AnyMatcher, Prompt, Proposal};
 
 use super::{
     mask_finder::{MaskFinder, not_found},
-    options::{EstimatorOptions, SplitOptions},
+    options::{EstimatorOptions, MaskOptions, SplitOptions},
     proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
 
 #[derive(Args)]
 pub struct SegmentArguments {
-    /// Colour image
+    /// Colour image: png, jpeg, webp, tiff or bmp
     #[arg(long, value_name = "FILE", required_unless_present = "dataset")]
     rgb: Option<PathBuf>,
-    /// Depth image, registered to the colour image [default: colour alone]
+    /// Depth image, registered to the colour image: 16-bit png, tiff or pgm, npy; or floats in metres: tiff, OpenEXR, npy,
+    /// pfm [default: colour alone]
     #[arg(long, value_name = "FILE", requires = "camera")]
     depth: Option<PathBuf>,
     /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
@@ -51,6 +52,8 @@ pub struct SegmentArguments {
     /// Its mask
     #[arg(long, value_name = "FILE")]
     reference_mask: Option<PathBuf>,
+    #[command(flatten)]
+    masks: MaskOptions,
     /// Camera of the reference [default: --camera]
     #[arg(long, value_name = "JSON")]
     reference_camera: Option<PathBuf>,
@@ -97,7 +100,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let frame = frame(arguments)?;
     let path = arguments.rgb.clone().context("--rgb is missing")?;
     if let Some(reference) = reference_files(arguments) {
-        let view = reference.read()?;
+        let view = reference.read_as(ViewRole::Reference, arguments.masks.mask_value)?;
         let mask = view.masks.first().context("no reference mask")?;
         let estimator = arguments.estimator.estimator()?;
         let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
@@ -138,7 +141,7 @@ fn frame(arguments: &SegmentArguments) -> anyhow::Result<RgbdFrame> {
         None => None,
     };
     let depth = match (&arguments.depth, &camera) {
-        (Some(depth), Some((path, camera))) => read_depth(depth, camera.require_depth_scale(path)?)?,
+        (Some(depth), Some((path, camera))) => read_depth_by(depth, || camera.require_depth_scale(path))?,
         _ => DepthMap::zeros(width, height),
     };
     if let Some((path, camera)) = &camera {

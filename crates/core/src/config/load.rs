@@ -2,7 +2,12 @@
 
 use std::{ops::Range, path::Path};
 
+use crate::files::read_text;
+
 use super::{Config, ConfigError, error::UnknownName, overrides, validate};
+
+/// Bytes of the largest configuration.
+pub(super) const MAX_CONFIG: u64 = 16 << 20;
 
 /// Names accepted by [`Config::embedded`].
 pub const EMBEDDED_NAMES: [&str; unopose_configs::ALL.len()] = {
@@ -18,7 +23,7 @@ pub const EMBEDDED_NAMES: [&str; unopose_configs::ALL.len()] = {
 impl Config {
     /// Reads `path`, applies the overrides (`"train.steps=2000"`) and checks all ranges.
     pub fn load(path: &Path, overrides: &[String]) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = read_text(path, MAX_CONFIG)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::from_toml(&text, path, overrides)
     }

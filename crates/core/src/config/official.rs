@@ -4,9 +4,11 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::files::read_text;
+
 use super::{
     ColorConfig, Config, ConfigError, OverlapMode, PositionResampling, Quirks, VitConfig, error::UnknownName,
-    validate,
+    load::MAX_CONFIG, validate,
 };
 
 /// Points of the reference cloud before farthest point sampling; the release has it in its data configuration.
@@ -99,7 +101,7 @@ fn yes() -> bool {
 impl Config {
     /// The `config.json` of the official release.
     pub fn load_official(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = read_text(path, MAX_CONFIG)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::from_official_json(&text, path)
     }

@@ -40,6 +40,11 @@ impl Mask {
         self.data.iter().filter(|&&m| m).count()
     }
 
+    /// Whether every pixel is set.
+    pub fn is_full(&self) -> bool {
+        self.data.iter().all(|&m| m)
+    }
+
     /// Set pixels in row-major order as (column, row).
     pub fn pixels(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let width = self.width as usize;

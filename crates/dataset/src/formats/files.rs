@@ -4,9 +4,12 @@ use std::{borrow::Cow, fmt::Display, io::Write, path::Path};
 
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::Value;
-use unopose_core::files::write_atomic;
+use unopose_core::files::{read_regular, write_atomic};
 
 use super::FormatError;
+
+/// Bytes of the largest JSON file.
+const MAX_JSON: u64 = 4 << 30;
 
 /// Parses a JSON file; the error names the file, the field, line and column.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FormatError> {
@@ -24,7 +27,7 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, FormatError> {
 
 /// The bytes of a file.
 pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, FormatError> {
-    std::fs::read(path).map_err(|e| FormatError::io(path, e))
+    read_regular(path, MAX_JSON).map_err(|e| FormatError::io(path, e))
 }
 
 /// A value of a JSON file as `T`; `place` and the field stand in the message.

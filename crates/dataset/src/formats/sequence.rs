@@ -1,4 +1,4 @@
-//! Phone sequences in the layout of WildRGB-D: one static object, `rgb/`, `depth/` (millimetres) and `masks/` with a file
+//! Phone sequences in the layout of WildRGB-D: one static object, `rgb/`, `depth/` (millimetres, or floats in metres) and `masks/` with a file
 //! per frame, `metadata` with the camera (`K`, column-major) and `cam_poses.txt` (frame number and the 4x4 matrix camera to
 //! world, metres, row-major).
 
@@ -10,6 +10,7 @@ use std::{
 use nalgebra::Vector3;
 use serde::Deserialize;
 use unopose_core::{
+    files::read_text,
     frame::{Mask, RgbdFrame},
     geometry::{Intrinsics, Pose},
 };
@@ -24,6 +25,9 @@ use super::{
 
 /// Millimetres per unit of the depth images.
 const DEPTH_SCALE: f64 = 1.0;
+
+/// Bytes of the largest list of camera poses.
+const MAX_POSES: u64 = 1 << 30;
 
 /// A sequence with a camera pose per frame.
 #[derive(Clone, Debug)]
@@ -155,7 +159,7 @@ fn numbered_files(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, FormatError> 
 }
 
 fn camera_poses(path: &Path) -> Result<BTreeMap<u32, Pose>, FormatError> {
-    let text = std::fs::read_to_string(path).map_err(|e| FormatError::io(path, e))?;
+    let text = read_text(path, MAX_POSES).map_err(|e| FormatError::io(path, e))?;
     let mut poses = BTreeMap::new();
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let place = || format!("{}: line {}", path.display(), index + 1);

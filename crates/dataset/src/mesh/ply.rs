@@ -3,7 +3,6 @@
 
 use std::{
     collections::HashMap,
-    fs::File,
     io::{BufReader, Write},
     path::Path,
     sync::Arc,
@@ -108,7 +107,7 @@ impl PropertyAccess for FaceRecord {
 
 /// Reads a mesh in the units of the file; polygons become triangle fans.
 pub(super) fn read(path: &Path) -> Result<TriangleMesh, MeshError> {
-    let file = File::open(path).map_err(|e| MeshError::read(path, e))?;
+    let file = unopose_core::files::open_regular(path).map_err(|e| MeshError::read(path, e))?;
     let mut reader = Reader::new(BufReader::new(file));
     let header =
         Parser::<VertexRecord>::new().read_header(&mut reader).map_err(|e| MeshError::read(path, e))?;

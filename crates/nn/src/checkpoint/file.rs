@@ -8,7 +8,7 @@ use std::{
 
 use burn::tensor::{DType, TensorData};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use unopose_core::files::write_atomic;
+use unopose_core::files::{read_regular, write_atomic};
 
 use super::CheckpointError;
 
@@ -23,8 +23,8 @@ pub struct TensorFile {
 impl TensorFile {
     /// Reads all tensors as f32; other precisions are converted, with a warning in the log.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
+        let bytes = read_regular(path, u64::MAX)
+            .map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes, path)
     }
 

@@ -7,6 +7,7 @@ use burn::{
     tensor::DType,
 };
 use safetensors::{Dtype, SafeTensors};
+use unopose_core::files::{open_regular, read_regular};
 
 use super::CheckpointError;
 
@@ -38,10 +39,10 @@ impl Container {
     pub fn open(path: &Path) -> Result<Self, CheckpointError> {
         let read = |source| CheckpointError::Read { path: path.to_owned(), source };
         let mut start = Vec::new();
-        std::fs::File::open(path).and_then(|file| file.take(9).read_to_end(&mut start)).map_err(read)?;
+        open_regular(path).and_then(|file| file.take(9).read_to_end(&mut start)).map_err(read)?;
         // A safetensors file opens with the length of its JSON header.
         if start.get(8) == Some(&b'{') {
-            let bytes = std::fs::read(path).map_err(read)?;
+            let bytes = read_regular(path, u64::MAX).map_err(read)?;
             SafeTensors::deserialize(&bytes).map_err(|e| format(path, &e))?;
             return Ok(Self::Safetensors(bytes));
         }

@@ -16,12 +16,12 @@ use unopose_nn::{checkpoint, device::DeviceChoice, model::UnoPose};
 use unopose_tests::ellipsoid_views::EllipsoidViews;
 
 /// Two views as files, masks of both objects, a camera and an untrained checkpoint.
-struct Files {
+pub struct Files {
     folder: tempfile::TempDir,
 }
 
 impl Files {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let views = EllipsoidViews::new(2, 5);
         let files = Self { folder };
@@ -42,12 +42,12 @@ impl Files {
         files
     }
 
-    fn at(&self, name: &str) -> PathBuf {
+    pub fn at(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
     /// `estimate` with some files replaced.
-    fn estimate(&self, replaced: &[(&str, &str)], more: &[&str]) -> Output {
+    pub fn estimate(&self, replaced: &[(&str, &str)], more: &[&str]) -> Output {
         let mut files = vec![
             ("--query-rgb", "query/rgb/a.png"),
             ("--query-depth", "query/depth/a.png"),
@@ -72,7 +72,7 @@ impl Files {
     }
 
     /// The message of a failed `estimate`, which must name `file` and `part`.
-    fn refused(&self, replaced: &[(&str, &str)], file: &str, part: &str) {
+    pub fn refused(&self, replaced: &[(&str, &str)], file: &str, part: &str) {
         let output = self.estimate(replaced, &[]);
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(1), "{text}");

@@ -1,5 +1,6 @@
 //! `unoinfer` as a process.
 
 mod infer;
+mod inputs;
 mod sam;
 mod verify;

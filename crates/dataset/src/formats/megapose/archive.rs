@@ -7,7 +7,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use unopose_core::files::{open_regular, read_regular};
+
 use super::{super::FormatError, records::MemberKind};
+
+/// Bytes of the largest member of an unpacked shard.
+const MAX_MEMBER: u64 = 1 << 30;
 
 /// Place of a member: a whole file, or a part of a tar.
 #[derive(Clone, Debug)]
@@ -63,7 +68,7 @@ impl Archive {
 
     fn scan_tar(&mut self) -> Result<(), FormatError> {
         let io = |e| FormatError::io(&self.path, e);
-        let file = File::open(&self.path).map_err(io)?;
+        let file = open_regular(&self.path).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
         let mut tar = tar::Archive::new(file);
         let mut found = Vec::new();
@@ -109,7 +114,7 @@ impl Archive {
     pub fn reader(&self) -> Result<MemberReader<'_>, FormatError> {
         let tar = match self.path.is_dir() {
             true => None,
-            false => Some(File::open(&self.path).map_err(|e| FormatError::io(&self.path, e))?),
+            false => Some(open_regular(&self.path).map_err(|e| FormatError::io(&self.path, e))?),
         };
         Ok(MemberReader { archive: self, tar })
     }
@@ -127,7 +132,7 @@ impl MemberReader<'_> {
         let place = self.archive.images.get(key).and_then(|m| m.0.get(&kind));
         let io = |e| FormatError::io(Path::new(&name), e);
         let bytes = match (place, &mut self.tar) {
-            (Some(Place::File(path)), _) => std::fs::read(path).map_err(io)?,
+            (Some(Place::File(path)), _) => read_regular(path, MAX_MEMBER).map_err(io)?,
             (Some(Place::Part { offset, size }), Some(tar)) => {
                 tar.seek(SeekFrom::Start(*offset)).map_err(io)?;
                 let mut bytes = vec![0; *size as usize];

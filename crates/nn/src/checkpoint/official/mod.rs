@@ -170,7 +170,7 @@ pub(super) fn is_official(path: &Path) -> bool {
 /// Whether a file, damaged or not, begins as `torch.save` writes it.
 fn is_pytorch(path: &Path) -> bool {
     let mut start = [0; 4];
-    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    let read = unopose_core::files::open_regular(path).and_then(|mut file| file.read_exact(&mut start));
     read.is_ok() && (start == *b"PK\x03\x04" || start[0] == 0x80)
 }
 
