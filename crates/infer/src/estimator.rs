@@ -250,7 +250,8 @@ impl PoseEstimator {
     ) -> Result<Estimate, InferError> {
         let start = Instant::now();
         let mut pose = pair.t_query_reference;
-        if !pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite()) {
+        let judged = [&pair.score, &pair.matched].into_iter().chain(&pair.overlap);
+        if !pose.rotation.iter().chain(&pose.translation).chain(judged).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
         if let Some(settings) = self.refinement.settings()

@@ -5,7 +5,7 @@
 //! small part of its size, and so are the stages' first layers. The metadata name the network; a file is refused by any
 //! other.
 
-use std::{collections::BTreeMap, path::Path, sync::OnceLock};
+use std::{collections::BTreeMap, ops::RangeInclusive, path::Path, sync::OnceLock};
 
 use burn::tensor::{Tensor, TensorData};
 use unopose_core::geometry::StructureIndices;
@@ -19,6 +19,11 @@ use super::{InferError, PoseEstimator, Reference};
 
 /// What the metadata entry `kind` says.
 const KIND: &str = "unopose reference 1";
+/// Bound of coordinates and distances in radii of the object or in sigma_d. A cloud that is not centred lies up to some
+/// hundred radii from the camera.
+const IN_RADII: f32 = 1e4;
+/// Bound of coordinates in metres, beyond any depth camera's range.
+const IN_METRES: f32 = 1e3;
 
 impl PoseEstimator {
     /// Writes a reference of this estimator to `path`, atomically.
@@ -66,21 +71,22 @@ impl PoseEstimator {
         let measured = file.file.tensors.get("measured").map_or(0, |data| data.shape()[0]);
         let choose = file.indices("choose", n, side * side)?;
         let sparse = file.indices("sparse", m, n)?;
+        let largest_angle = 1.001 * 180.0 / config.geo_embedding.sigma_a;
         let cloud = CloudInput {
             rgb: file.take("rgb", &[3, side, side])?,
             choose,
-            points: rows(&file.take("points", &[n, 3])?),
+            points: rows(&file.within("points", &[n, 3], -IN_RADII..=IN_RADII)?),
             sparse,
             structure: StructureIndices {
                 size,
                 k,
-                distances: file.take("distances", &[size, size])?,
-                angles: file.take("angles", &[size, size, k])?,
+                distances: file.within("distances", &[size, size], 0.0..=IN_RADII)?,
+                angles: file.within("angles", &[size, size, k], 0.0..=largest_angle)?,
             },
-            center: rows(&file.take("center", &[3])?)[0],
+            center: rows(&file.within("center", &[3], -IN_METRES..=IN_METRES)?)[0],
         };
-        let radius = file.take("radius", &[1])?[0];
-        let points = rows(&file.take("measured", &[measured, 3])?);
+        let radius = file.within("radius", &[1], 1e-4..=IN_METRES)?[0];
+        let points = rows(&file.within("measured", &[measured, 3], -IN_METRES..=IN_METRES)?);
         let features = file.take("features", &[1, n, config.color.out_dim()])?;
         let width = config.fine.matching.hidden_dim;
         let position = config.use_fine.then(|| file.take("position", &[1, n, width])).transpose()?;
@@ -125,6 +131,23 @@ impl Fields<'_> {
             return Err(self.error(field, format!("{:?}", data.shape()), expected));
         }
         data.try_into_vec::<f32>().map_err(|e| self.error(field, format!("{e:?}"), expected))
+    }
+
+    /// [`Self::take`] with all values in `range`.
+    fn within(
+        &mut self,
+        field: &str,
+        shape: &[usize],
+        range: RangeInclusive<f32>,
+    ) -> Result<Vec<f32>, InferError> {
+        let values = self.take(field, shape)?;
+        match values.iter().find(|&&value| !range.contains(&value)) {
+            Some(value) => {
+                let expected = format!("values from {} to {}", range.start(), range.end());
+                Err(self.error(field, value, expected))
+            }
+            None => Ok(values),
+        }
     }
 
     /// Whole numbers below `limit`.
