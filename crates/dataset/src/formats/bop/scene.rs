@@ -152,21 +152,19 @@ impl BopScene {
         let info = |(index, gt): (usize, &GtRecord)| -> Result<GtInfoRecord, FormatError> {
             let visible = self.mask_visib(im_id, index)?;
             let whole = self.mask_path("mask", im_id, index);
-            let silhouette = match self.models.get(gt.obj_id) {
-                _ if whole.is_file() => Silhouette::of_mask(Cow::Owned(read_mask(&whole)?), &visible),
-                Some(mesh) => {
-                    let (pose, camera) = (self.pose(im_id, index)?, self.camera(im_id)?.intrinsics);
-                    Silhouette::of_mesh(mesh, pose, camera, &visible)
-                }
-                None => {
-                    self.notice.call_once(|| {
-                        tracing::warn!(
-                            "{} has no scene_gt_info.json, no mask/ and no models: objects count as not occluded",
-                            self.folder.display()
-                        );
-                    });
-                    Silhouette::of_mask(Cow::Borrowed(&visible), &visible)
-                }
+            let silhouette = if whole.is_file() {
+                Silhouette::of_mask(Cow::Owned(read_mask(&whole)?), &visible)
+            } else if let Some(mesh) = self.models.get(gt.obj_id) {
+                let (pose, camera) = (self.pose(im_id, index)?, self.camera(im_id)?.intrinsics);
+                Silhouette::of_mesh(mesh, pose, camera, &visible)
+            } else {
+                self.notice.call_once(|| {
+                    tracing::warn!(
+                        "{} has no scene_gt_info.json, no mask/ and no models: objects count as not occluded",
+                        self.folder.display()
+                    );
+                });
+                Silhouette::of_mask(Cow::Borrowed(&visible), &visible)
             };
             Ok(gt_info(&silhouette, &visible, depth.as_ref()))
         };
