@@ -55,8 +55,9 @@ pub fn segment_dataset<M: Matcher>(
     let mut all = read_targets(&files.targets)?;
     all.retain(|t| {
         targets.iter().any(|r| (r.scene_id, r.im_id, r.obj_id) == (t.scene_id, t.im_id, t.obj_id))
+            && is_annotated(&split, t)
     });
-    if !any_annotated(&split, &all)? {
+    if all.is_empty() {
         println!("{NOT_SCORED}\n{}", path.display());
         return Ok((path, None));
     }
@@ -79,11 +80,12 @@ pub fn segment_dataset<M: Matcher>(
     Ok((path, Some(scores)))
 }
 
-fn any_annotated(split: &BopSplit, targets: &[Target]) -> anyhow::Result<bool> {
-    for target in targets {
-        if split.scene(target.scene_id)?.is_annotated(target.im_id) {
-            return Ok(true);
-        }
+/// Is it known what the target's image shows? Where that cannot be read it is told.
+fn is_annotated(split: &BopSplit, target: &Target) -> bool {
+    let Ok(scene) = split.scene(target.scene_id) else { return false };
+    if !scene.is_annotated(target.im_id) {
+        return false;
     }
-    Ok(false)
+    let visible = scene.gt_info(target.im_id);
+    visible.inspect_err(|error| eprintln!("{error}: the image does not count")).is_ok()
 }

@@ -17,6 +17,7 @@ use super::{
     EvalError,
     average_precision::{average_precision, mean},
     matching::top,
+    scoring::annotated,
 };
 
 /// Overlaps from which a detection is a hit: 0.5, 0.55, ... 0.95.
@@ -114,7 +115,8 @@ pub fn coco_scores(
     kind: RegionKind,
 ) -> Result<CocoScores, EvalError> {
     let detections = coco_detections(detections, kind);
-    Ok(coco_map(&coco_ground_truth(split, targets, kind)?, &detections))
+    let targets = annotated(split, targets.to_vec())?;
+    Ok(coco_map(&coco_ground_truth(split, &targets, kind)?, &detections))
 }
 
 /// Scores detections. The images are those of the ground truth: it holds all annotated instances of every image, also of
@@ -157,7 +159,8 @@ fn coco_map(ground_truth: &[CocoGroundTruth], detections: &[CocoDetection]) -> C
     }
 }
 
-/// All annotated instances of the targets' images.
+/// All annotated instances of the targets' images. Images whose annotation or masks cannot be read are left out, each with a
+/// warning.
 fn coco_ground_truth(
     split: &BopSplit,
     targets: &[Target],
@@ -179,8 +182,21 @@ fn coco_ground_truth(
             })
             .collect()
     };
-    let found: Vec<Vec<CocoGroundTruth>> = images.par_iter().map(of_image).collect::<Result<_, _>>()?;
-    Ok(found.into_iter().flatten().collect())
+    let found: Vec<Result<Vec<CocoGroundTruth>, EvalError>> = images.par_iter().map(of_image).collect();
+    let (mut truths, mut broken) = (Vec::new(), None);
+    for of_image in found {
+        match of_image {
+            Ok(of_image) => truths.extend(of_image),
+            Err(error) => {
+                tracing::warn!("{error}: the image does not count");
+                broken = Some(error);
+            }
+        }
+    }
+    match broken {
+        Some(error) if truths.is_empty() => Err(error),
+        _ => Ok(truths),
+    }
 }
 
 /// Detections as they are compared; one with a broken mask overlaps nothing.

@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
-use unopose_dataset::formats::PoseResult;
+use unopose_dataset::formats::{
+    BopSplit, PoseResult, Target, detections::visible_instances, targets::read_annotated_targets,
+};
 
 use super::{
-    EvalError,
+    EvalError, RegionKind, coco_scores,
     tests::{result, score, write_dataset},
 };
 
@@ -64,4 +66,28 @@ fn images_without_annotations_are_left_out_and_nothing_is_scored_without_any() {
         message.contains("000001/scene_gt.json: no annotation") && message.contains("nothing to score"),
         "{message}"
     );
+}
+
+#[test]
+fn an_image_whose_masks_are_missing_costs_detections_its_own_instances() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_dataset(root);
+    let split = BopSplit::open(&root.join("test")).unwrap();
+    let list = root.join("test_targets_bop19.json");
+    let targets = read_annotated_targets(&list, &split).unwrap();
+    let map = |targets: &[Target]| {
+        let detections = visible_instances(&split, targets).unwrap();
+        coco_scores(&split, targets, &detections, RegionKind::Mask).map(|s| (s.n_instances, s.n_detections))
+    };
+    assert_eq!(map(&targets).unwrap(), (4, 3));
+    std::fs::remove_file(root.join("test/000001/mask_visib/000001_000000.png")).unwrap();
+    assert_eq!(map(&targets).unwrap(), (3, 2));
+    assert!(visible_instances(&split, &targets[1..]).unwrap_err().to_string().contains("000001_000000.png"));
+    let only = coco_scores(&split, &targets[1..], &[], RegionKind::Mask).unwrap_err().to_string();
+    assert!(only.contains("000001_000000.png"), "{only}");
+    std::fs::remove_file(root.join("test/000001/scene_gt.json")).unwrap();
+    let split = BopSplit::open(&root.join("test")).unwrap();
+    let hidden = coco_scores(&split, &targets, &[], RegionKind::Mask).unwrap_err();
+    assert!(matches!(hidden, EvalError::NoAnnotations { .. }), "{hidden}");
 }
