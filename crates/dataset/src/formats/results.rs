@@ -49,16 +49,21 @@ pub fn read_results(path: &Path) -> Result<Vec<PoseResult>, FormatError> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
+        // Counts the lines of Windows right, too: the trimming takes the rest of their ends.
+        .terminator(csv::Terminator::Any(b'\n'))
         .trim(csv::Trim::All)
         .from_reader(std::io::BufReader::new(file));
     let mut results = Vec::new();
     let mut seen = SeenLines::default();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(csv_error)?;
+        if record.len() == 1 && record[0].is_empty() {
+            continue;
+        }
         let line = record.position().map_or(index as u64 + 1, |p| p.line());
         let place = format!("{}: line {line}", path.display());
         let first = record.get(0).unwrap_or_default().trim_start_matches('\u{feff}');
-        if index == 0 && first == HEADER[0] {
+        if results.is_empty() && first == HEADER[0] {
             if !record.iter().skip(1).eq(HEADER[1..record.len().min(HEADER.len())].iter().copied()) {
                 let met = record.iter().collect::<Vec<_>>().join(",");
                 return Err(FormatError::field(place, "header", met, HEADER.join(",")));
@@ -210,7 +215,7 @@ mod tests {
         }
         let bom = format!("\u{feff}{header}\r\n{LINE}");
         assert_eq!(read(&bom).unwrap(), [expected]);
-        assert_eq!(read(&format!("\u{feff}{LINE}\n\n")).unwrap(), [expected]);
+        assert_eq!(read(&format!("\u{feff}{LINE}\r\n\r\n")).unwrap(), [expected]);
     }
 
     #[test]
