@@ -32,6 +32,8 @@ pub struct View {
     pub frame: RgbdFrame,
     /// As large as the frame.
     pub masks: Vec<Mask>,
+    /// Millimetres per unit of the depth image's file, where it has a unit of its own.
+    pub depth_scale: Option<f64>,
 }
 
 impl ViewFiles {
@@ -39,7 +41,8 @@ impl ViewFiles {
     pub fn read(&self) -> Result<View, FormatError> {
         let camera = read_camera(&self.camera)?;
         let rgb = read_rgb(&self.rgb)?;
-        let depth = read_depth(&self.depth, camera.require_depth_scale(&self.camera)?)?;
+        let depth_scale = camera.require_depth_scale(&self.camera)?;
+        let depth = read_depth(&self.depth, depth_scale)?;
         camera.check_size(&self.camera.display().to_string(), rgb.dimensions())?;
         let check = |path: &Path, field, width, height| {
             let size = |(w, h)| format!("{w} x {h}");
@@ -60,7 +63,8 @@ impl ViewFiles {
             Ok(mask)
         };
         let masks = self.masks.iter().map(read).collect::<Result<_, _>>()?;
-        Ok(View { frame: RgbdFrame { rgb, depth, intrinsics: camera.intrinsics }, masks })
+        let frame = RgbdFrame { rgb, depth, intrinsics: camera.intrinsics };
+        Ok(View { frame, masks, depth_scale: Some(depth_scale) })
     }
 }
 
