@@ -15,10 +15,9 @@ const AROUND: f64 = 0.75;
 const STRONGEST: f64 = 4.0;
 /// Shift, pixels of an image 640 wide.
 const SHIFT: [f64; 2] = [3.5, 9.0];
-/// A shift counts when edges agree this much better with it than without.
-const GAIN: f64 = 1.12;
-/// And when the best shift stands out from all others by this many standard deviations.
-const DISTINCT: f64 = 3.0;
+/// A shift counts when the edges agree this many times better with it than without, and it stands out from all shifts by this
+/// many standard deviations: a little better and far out, or much better.
+const CLEAR: [[f64; 2]; 2] = [[1.12, 3.0], [1.5, 2.0]];
 
 /// How colour edges lie against depth borders.
 #[derive(Clone, Copy, Debug)]
@@ -141,7 +140,7 @@ pub(crate) fn alignment_finding(frame: &RgbdFrame, lines: &Lines, mask: Option<&
     };
     let [across, down] = found.shift;
     let pixels = f64::from(across).hypot(down.into());
-    let clear = found.gain >= GAIN && found.distinct >= DISTINCT;
+    let clear = CLEAR.iter().any(|[gain, distinct]| found.gain >= *gain && found.distinct >= *distinct);
     let scale = f64::from(frame.width()) / 640.0;
     let level = if clear { Level::of(pixels / scale.min(1.0).max(0.4), SHIFT) } else { Level::Ok };
     let text = match clear {

@@ -26,7 +26,7 @@ const SMALLEST_PART: usize = 25;
 /// How a mask lies on the surfaces of a depth image.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MaskFit {
-    /// Median distance from the mask's border outwards to the surface's border, pixels: positive for a mask that is too tight,
+    /// Median distance along rows and columns from the mask's border outwards to the surface's border, pixels: positive for a mask that is too tight,
     /// negative for one that is too wide. `None` where too few borders are near.
     pub offset: Option<f64>,
     /// Share of the measured mask on surfaces that are behind the object and go on outside the mask.
