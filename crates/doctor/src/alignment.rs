@@ -11,8 +11,8 @@ const REACH: f64 = 15.0;
 const FEWEST: usize = 150;
 /// The region around the mask, sides of the mask's box.
 const AROUND: f64 = 0.75;
-/// Colour edges count at most this many times the mean edge of the region.
-const STRONGEST: f64 = 4.0;
+/// A colour edge of this many times the region's mean edge counts half as much as the strongest.
+const HALF: f64 = 4.0;
 /// Shift, pixels of an image 640 wide.
 const SHIFT: [f64; 2] = [3.5, 9.0];
 /// A shift counts when the edges agree this many times better with it than without, and it stands out from all shifts by this
@@ -53,10 +53,11 @@ fn shift_in(frame: &RgbdFrame, lines: &Lines, region: &BoundingBox) -> Option<Ed
     if borders.len() < FEWEST {
         return None;
     }
-    let limits = gradients.strongest(region);
+    let half = gradients.half(region);
     let agreement = |dc: i32, dr: i32| -> f64 {
         let at = |&(axis, col, row): &(usize, f64, f64)| {
-            gradients.at(axis, col + f64::from(dc), row + f64::from(dr)).min(limits[axis])
+            let edge = gradients.at(axis, col + f64::from(dc), row + f64::from(dr));
+            edge / (edge + half[axis])
         };
         borders.iter().map(at).sum::<f64>() / borders.len() as f64
     };
@@ -116,18 +117,18 @@ impl Gradients {
         self.gray.get_pixel_checked(col.round() as u32, row.round() as u32).map(|p| f64::from(p.0[0]))
     }
 
-    /// Beyond this, an edge of either axis counts no more: a strong print would hide all borders.
-    fn strongest(&self, region: &BoundingBox) -> [f64; 2] {
+    /// The edge of either axis that counts half: without a bound, a strong print would hide all borders.
+    fn half(&self, region: &BoundingBox) -> [f64; 2] {
         [0, 1].map(|axis| {
             let (mut sum, mut count) = (0.0, 0usize);
             for row in region.row_min..region.row_max {
                 for col in region.col_min..region.col_max {
-                    let half = |i: usize| if i == axis { 0.5 } else { 0.0 };
-                    sum += self.at(axis, f64::from(col) + half(0), f64::from(row) + half(1));
+                    let beside = |i: usize| if i == axis { 0.5 } else { 0.0 };
+                    sum += self.at(axis, f64::from(col) + beside(0), f64::from(row) + beside(1));
                     count += 1;
                 }
             }
-            STRONGEST * sum / count.max(1) as f64
+            (HALF * sum / count.max(1) as f64).max(1.0)
         })
     }
 }

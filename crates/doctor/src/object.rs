@@ -3,6 +3,8 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use unopose_core::geometry::icosphere;
 
+/// Fewer points have no size.
+const FEWEST: usize = 16;
 /// Share of the points inside the radius; the others may be flying pixels.
 const INSIDE: f64 = 0.95;
 /// Points farther from the middle than this many radii are no part of the extent.
@@ -28,9 +30,9 @@ pub struct MaskedObject {
 }
 
 impl MaskedObject {
-    /// Of points in a camera's frame, metres; `None` without points.
+    /// Of points in a camera's frame, metres; `None` with too few points.
     pub fn measure(points: &[[f32; 3]]) -> Option<Self> {
-        if points.is_empty() {
+        if points.len() < FEWEST {
             return None;
         }
         let coordinate = |axis: usize| points.iter().map(|p| f64::from(p[axis])).collect();
