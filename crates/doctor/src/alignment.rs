@@ -11,13 +11,14 @@ const REACH: f64 = 15.0;
 const FEWEST: usize = 150;
 /// The region around the mask, sides of the mask's box.
 const AROUND: f64 = 0.75;
-/// A colour edge of this many times the region's mean edge counts half as much as the strongest.
-const HALF: f64 = 4.0;
+/// A colour edge of this many times the region's root mean square counts half as much as the strongest.
+const HALF: f64 = 2.0;
 /// Shift, pixels of an image 640 wide.
 const SHIFT: [f64; 2] = [3.5, 9.0];
-/// A shift counts when the edges agree this many times better with it than without, and it stands out from all shifts by this
-/// many standard deviations: a little better and far out, or much better.
-const CLEAR: [[f64; 2]; 2] = [[1.12, 3.0], [1.5, 2.0]];
+/// A shift counts from this evidence on: by what share the edges agree better with it than without, times the standard
+/// deviations by which it stands out beyond those that the best of many shifts always has.
+const CLEAR: f64 = 0.2;
+const ALWAYS: f64 = 1.5;
 
 /// How colour edges lie against depth borders.
 #[derive(Clone, Copy, Debug)]
@@ -87,14 +88,14 @@ fn grown(b: &BoundingBox, whole: &BoundingBox) -> BoundingBox {
     }
 }
 
-/// Differences between neighbours of the smoothed colour image, along rows and along columns.
+/// Differences between neighbours of the colour image, along rows and along columns.
 struct Gradients {
     gray: GrayImage,
 }
 
 impl Gradients {
     fn of(frame: &RgbdFrame) -> Self {
-        Self { gray: image::imageops::fast_blur(&image::imageops::grayscale(&frame.rgb), 0.8) }
+        Self { gray: image::imageops::grayscale(&frame.rgb) }
     }
 
     /// Across a border along `axis` at a position between two pixels of it.
@@ -120,15 +121,15 @@ impl Gradients {
     /// The edge of either axis that counts half: without a bound, a strong print would hide all borders.
     fn half(&self, region: &BoundingBox) -> [f64; 2] {
         [0, 1].map(|axis| {
-            let (mut sum, mut count) = (0.0, 0usize);
+            let (mut squares, mut count) = (0.0, 0usize);
             for row in region.row_min..region.row_max {
                 for col in region.col_min..region.col_max {
                     let beside = |i: usize| if i == axis { 0.5 } else { 0.0 };
-                    sum += self.at(axis, f64::from(col) + beside(0), f64::from(row) + beside(1));
+                    squares += self.at(axis, f64::from(col) + beside(0), f64::from(row) + beside(1)).powi(2);
                     count += 1;
                 }
             }
-            (HALF * sum / count.max(1) as f64).max(1.0)
+            (HALF * (squares / count.max(1) as f64).sqrt()).max(1.0)
         })
     }
 }
@@ -141,7 +142,7 @@ pub(crate) fn alignment_finding(frame: &RgbdFrame, lines: &Lines, mask: Option<&
     };
     let [across, down] = found.shift;
     let pixels = f64::from(across).hypot(down.into());
-    let clear = CLEAR.iter().any(|[gain, distinct]| found.gain >= *gain && found.distinct >= *distinct);
+    let clear = (found.gain - 1.0) * (found.distinct - ALWAYS) >= CLEAR;
     let scale = f64::from(frame.width()) / 640.0;
     let level = if clear { Level::of(pixels / scale.min(1.0).max(0.4), SHIFT) } else { Level::Ok };
     let text = match clear {
