@@ -59,8 +59,8 @@ fn tiles(view: MaskedView<'_>) -> [RgbImage; 5] {
     let near = mask.bounding_box().unwrap_or(whole);
     let [left, above] = match &object {
         Some(object) => [
-            Rotation3::from_axis_angle(&Vector3::y_axis(), 60f64.to_radians()),
-            Rotation3::from_axis_angle(&Vector3::x_axis(), -60f64.to_radians()),
+            Rotation3::from_axis_angle(&Vector3::y_axis(), -60f64.to_radians()),
+            Rotation3::from_axis_angle(&Vector3::x_axis(), 60f64.to_radians()),
         ]
         .map(|turn| points_image(view, object, &turn)),
         None => [RgbImage::new(WIDTH, HEIGHT), RgbImage::new(WIDTH, HEIGHT)],
