@@ -16,7 +16,8 @@ const HALF: f64 = 2.0;
 /// Shift, pixels of an image 640 wide.
 const SHIFT: [f64; 2] = [3.5, 9.0];
 /// A shift counts from this evidence on: by what share the edges agree better with it than without, times the standard
-/// deviations by which it stands out beyond those that the best of many shifts always has.
+/// deviations by which it stands out beyond those that the best of many shifts always has. Less than twice of it is never
+/// called wrong: prints and shadows can imitate a shift.
 const CLEAR: f64 = 0.2;
 const ALWAYS: f64 = 1.5;
 
@@ -88,14 +89,14 @@ fn grown(b: &BoundingBox, whole: &BoundingBox) -> BoundingBox {
     }
 }
 
-/// Differences between neighbours of the colour image, along rows and along columns.
+/// Differences between neighbours of the smoothed colour image, along rows and along columns.
 struct Gradients {
     gray: GrayImage,
 }
 
 impl Gradients {
     fn of(frame: &RgbdFrame) -> Self {
-        Self { gray: image::imageops::grayscale(&frame.rgb) }
+        Self { gray: image::imageops::fast_blur(&image::imageops::grayscale(&frame.rgb), 0.8) }
     }
 
     /// Across a border along `axis` at a position between two pixels of it.
@@ -142,15 +143,20 @@ pub(crate) fn alignment_finding(frame: &RgbdFrame, lines: &Lines, mask: Option<&
     };
     let [across, down] = found.shift;
     let pixels = f64::from(across).hypot(down.into());
-    let clear = (found.gain - 1.0) * (found.distinct - ALWAYS) >= CLEAR;
+    let evidence = (found.gain - 1.0) * (found.distinct - ALWAYS);
+    let clear = evidence >= CLEAR;
     let scale = f64::from(frame.width()) / 640.0;
-    let level = if clear { Level::of(pixels / scale.min(1.0).max(0.4), SHIFT) } else { Level::Ok };
+    let level = match Level::of(pixels / scale.clamp(0.4, 1.0), SHIFT) {
+        _ if !clear => Level::Ok,
+        Level::Wrong if evidence < 2.0 * CLEAR => Level::Look,
+        level => level,
+    };
     let text = match clear {
         true => format!("colour edges lie ({across}, {down}) pixels from those of depth (right, down)"),
         false => "no shift between the edges of colour and depth stands out".into(),
     };
     let shift = if clear { [f64::from(across), f64::from(down)] } else { [0.0; 2] };
     Finding::new(Check::Alignment, level, text)
-        .with_values([("right_px", shift[0]), ("down_px", shift[1]), ("gain", found.gain), ("distinct", found.distinct)])
+        .with_values([("right_px", shift[0]), ("down_px", shift[1]), ("evidence", evidence)])
         .advise("register the depth image to the colour image (align to color), with both taken at the same moment")
 }

@@ -6,7 +6,7 @@ use super::*;
 
 #[test]
 fn a_shift_between_colour_and_depth_is_measured() {
-    for (right, down, level) in [(4i64, -3i64, Level::Wrong), (-2, 1, Level::Look), (0, 6, Level::Wrong)] {
+    for (right, down, level) in [(4i64, -3i64, Level::Wrong), (-3, 2, Level::Look), (0, 6, Level::Wrong)] {
         let mut shot = shot();
         let still = shot.frame.rgb.clone();
         imageops::replace(&mut shot.frame.rgb, &still, right, down);
