@@ -13,8 +13,9 @@ const REACH: f64 = 20.0;
 /// Borders that the median is taken of, and their share of the mask's border.
 const FEWEST: usize = 20;
 const SHARE: f64 = 0.15;
-/// Median distance of the borders, pixels, and as a share of the mask's size: both have to be exceeded.
-const OFFSET: [f64; 2] = [3.0, 9.0];
+/// Median distance of the borders, pixels, and as a share of the mask's size: both have to be exceeded. Depth cameras shift
+/// borders by up to 3 pixels.
+const OFFSET: [f64; 2] = [4.0, 10.0];
 const OFFSET_SHARE: [f64; 2] = [0.02, 0.06];
 /// Share of the measured mask that lies on surfaces behind the object.
 const LEAK: [f64; 2] = [0.06, 0.25];
