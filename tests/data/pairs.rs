@@ -240,12 +240,12 @@ fn bad_views_are_named() {
     let mut scaled = frame.clone();
     scaled.depth.data.iter_mut().for_each(|d| *d *= 1000.0);
     let error = message(reference(&scaled, mask));
-    assert!(error.contains("depth_scale"), "{error}");
+    assert!(error.contains("depth_scale") && error.contains("1000 times too large"), "{error}");
     let mut blind = frame.clone();
     blind.depth.data.fill(f32::NAN);
     assert!(message(reference(&blind, mask)).contains("none with depth"));
     let query = |radius| prepare_query(frame, mask, radius, &model(), &mut rng()).map(|_| radius);
-    assert!(matches!(query(f32::NAN), Err(DataError::Radius { .. })));
+    assert!(matches!(query(f32::NAN), Err(DataError::QueryRadius { .. })));
     assert!(matches!(query(0.002), Err(DataError::TooFewPoints { .. })));
     assert!(query(0.1).is_ok());
 }

@@ -4,7 +4,7 @@ use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;
 use unopose_core::frame::{Mask, RgbdFrame};
 use unopose_nn::model::PixelChoice;
-use unopose_pairs::data::{MAX_RADIUS, prepare_query};
+use unopose_pairs::data::prepare_query;
 
 use super::{
     InferError, PoseEstimator,
@@ -13,6 +13,8 @@ use super::{
 
 /// Views per forward pass.
 const BATCH: usize = 16;
+/// Radius of a view, metres: large enough for whatever a mask may show.
+const REACH: f32 = 5.0;
 
 impl PoseEstimator {
     /// Mean colour feature of the points of each mask; `None` where a mask has too few points.
@@ -22,14 +24,8 @@ impl PoseEstimator {
         masks: &[&Mask],
     ) -> Result<Vec<Option<Vec<f32>>>, InferError> {
         let prepare = |mask: &&Mask| {
-            prepare_query(
-                frame,
-                mask,
-                MAX_RADIUS,
-                &self.config,
-                &mut stream(self.seed, streams::COLOR_POINTS),
-            )
-            .ok()
+            prepare_query(frame, mask, REACH, &self.config, &mut stream(self.seed, streams::COLOR_POINTS))
+                .ok()
         };
         let prepared: Vec<_> = masks.par_iter().map(prepare).collect();
         let usable: Vec<_> = prepared.iter().flatten().collect();

@@ -42,6 +42,8 @@ pub struct View {
     pub frame: RgbdFrame,
     /// As large as the frame.
     pub masks: Vec<Mask>,
+    /// Millimetres per unit of the depth image's file, where it has a unit of its own.
+    pub depth_scale: Option<f64>,
 }
 
 impl ViewFiles {
@@ -54,7 +56,10 @@ impl ViewFiles {
     pub fn read_as(&self, role: ViewRole, mask_value: Option<MaskValue>) -> Result<View, FormatError> {
         let camera = read_camera(&self.camera)?;
         let rgb = read_rgb(&self.rgb)?;
-        let depth = read_depth_by(&self.depth, || camera.require_depth_scale(&self.camera))?;
+        let mut depth_scale = None;
+        let depth = read_depth_by(&self.depth, || {
+            camera.require_depth_scale(&self.camera).inspect(|&scale| depth_scale = Some(scale))
+        })?;
         let size = |(w, h)| format!("{w} x {h}");
         let check = |path: &Path, field, other| {
             if other == rgb.dimensions() {
@@ -95,7 +100,8 @@ impl ViewFiles {
             Ok(mask)
         };
         let masks = self.masks.iter().map(read).collect::<Result<_, _>>()?;
-        Ok(View { frame: RgbdFrame { rgb, depth, intrinsics: camera.intrinsics }, masks })
+        let frame = RgbdFrame { rgb, depth, intrinsics: camera.intrinsics };
+        Ok(View { frame, masks, depth_scale })
     }
 }
 

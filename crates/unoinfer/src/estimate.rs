@@ -8,6 +8,7 @@ use image::Rgb;
 use serde_json::json;
 use unopose_core::{explain, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::{files::write_json, image_io::MaskValue};
+use unopose_doctor::{Expected, MaskedObject};
 use unopose_eval::report::overlay;
 use unopose_infer::{
     Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, ViewRole, query_folder,
@@ -15,6 +16,7 @@ use unopose_infer::{
 use unopose_segment::AnyMatcher;
 
 use super::{
+    doctor::{Warning, warnings},
     mask_finder::MaskFinder,
     options::{EstimatorOptions, MaskOptions},
     progress::ProgressDisplay,
@@ -88,15 +90,21 @@ pub struct EstimateArguments {
     estimator: EstimatorOptions,
 }
 
+/// What the reference's view tells before anything is estimated.
+struct ReferenceView {
+    object: Option<MaskedObject>,
+    warnings: Vec<Warning>,
+}
+
 pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     let queries = queries(arguments)?;
     let estimator = arguments.estimator.estimator()?;
-    let (reference, view) = reference(arguments, &estimator)?;
+    let (reference, view, seen) = reference(arguments, &estimator)?;
     let generator = arguments.proposals.generator(arguments.estimator.device())?;
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
     let finder = match (queries.iter().any(|(_, files)| files.masks.is_empty()), &view) {
         (false, _) => None,
-        (true, Some(View { frame, masks })) => {
+        (true, Some(View { frame, masks, .. })) => {
             let masked = MaskedView { frame, mask: masks.first().context("--reference-mask is missing")? };
             Some(MaskFinder::new(generator.as_ref(), &matcher, masked)?)
         }
@@ -108,8 +116,8 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
     for (done, (name, files)) in queries.iter().enumerate() {
         progress.set(done, queries.len());
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
-        let mask_value = arguments.masks.mask_value;
-        if let Err(error) = estimate_query(&estimator, &reference, finder.as_ref(), files, mask_value, &out) {
+        let query = (files, arguments.masks.mask_value);
+        if let Err(error) = estimate_query(&estimator, &reference, &seen, finder.as_ref(), query, &out) {
             // One bad query of a folder does not stop the others.
             if queries.len() == 1 {
                 return Err(error);
@@ -129,9 +137,11 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
 fn reference(
     arguments: &EstimateArguments,
     estimator: &PoseEstimator,
-) -> anyhow::Result<(Reference, Option<View>)> {
+) -> anyhow::Result<(Reference, Option<View>, ReferenceView)> {
     if let Some(kept) = &arguments.reference {
-        return Ok((estimator.load_reference(kept)?, None));
+        let reference = estimator.load_reference(kept)?;
+        let object = MaskedObject::measure(reference.points());
+        return Ok((reference, None, ReferenceView { object, warnings: Vec::new() }));
     }
     let files = ViewFiles {
         rgb: arguments.reference_rgb.clone().context("--reference-rgb is missing")?,
@@ -142,11 +152,15 @@ fn reference(
     let value = arguments.reference_mask_value.or(arguments.masks.mask_value);
     let view = files.read_as(ViewRole::Reference, value)?;
     let mask = view.masks.first().context("--reference-mask is missing")?;
+    let expected = Expected { depth_scale: view.depth_scale, points: estimator.config().reference_points };
+    let masked = MaskedView { frame: &view.frame, mask };
+    let (object, warnings) =
+        warnings("reference", masked, &expected, None).with_context(|| place(&files, 0))?;
     let reference = estimator.reference(&view.frame, mask).with_context(|| place(&files, 0))?;
     if let Some(path) = &arguments.save_reference {
         estimator.save_reference(&reference, path)?;
     }
-    Ok((reference, Some(view)))
+    Ok((reference, Some(view), ReferenceView { object, warnings }))
 }
 
 /// Names (of a folder's views) and files.
@@ -168,28 +182,35 @@ fn queries(arguments: &EstimateArguments) -> anyhow::Result<Vec<(Option<String>,
 fn estimate_query(
     estimator: &PoseEstimator,
     reference: &Reference,
+    seen: &ReferenceView,
     finder: Option<&MaskFinder<'_>>,
-    files: &ViewFiles,
-    mask_value: Option<MaskValue>,
+    (files, mask_value): (&ViewFiles, Option<MaskValue>),
     out: &Path,
 ) -> anyhow::Result<()> {
     let view = files.read_as(ViewRole::Query, mask_value)?;
     match finder {
         Some(finder) if view.masks.is_empty() => {
             let (view, files) = finder.complete(view, files, out)?;
-            estimate_view(estimator, reference, &view, &files, out)
+            estimate_view(estimator, reference, seen, &view, &files, out)
         }
-        _ => estimate_view(estimator, reference, &view, files, out),
+        _ => estimate_view(estimator, reference, seen, &view, files, out),
     }
 }
 
 fn estimate_view(
     estimator: &PoseEstimator,
     reference: &Reference,
+    seen: &ReferenceView,
     view: &View,
     files: &ViewFiles,
     out: &Path,
 ) -> anyhow::Result<()> {
+    let mut found = seen.warnings.clone();
+    let expected = Expected { depth_scale: view.depth_scale, points: estimator.config().fine_points };
+    for (i, mask) in view.masks.iter().enumerate() {
+        let masked = MaskedView { frame: &view.frame, mask };
+        found.extend(warnings(&place(files, i), masked, &expected, seen.object.as_ref())?.1);
+    }
     let results = estimator.estimate(reference, &view.frame, &view.masks);
     let best =
         results.iter().filter_map(|result| result.as_ref().ok()).max_by(|a, b| a.score.total_cmp(&b.score));
@@ -201,7 +222,9 @@ fn estimate_view(
             .collect();
         bail!("{}", reasons.join("; "));
     };
-    write_json(&out.join("pose.json"), &record(estimator, reference, files, &results, best), true)?;
+    let mut value = record(estimator, reference, files, &results, best);
+    value["warnings"] = json!(found);
+    write_json(&out.join("pose.json"), &value, true)?;
     overlay::write_png(&out.join("overlay.png"), &drawn(reference, view, &results))?;
     for (i, result) in results.iter().enumerate() {
         match result {

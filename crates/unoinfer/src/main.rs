@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod calibrate;
 mod convert;
+mod doctor;
 mod estimate;
 mod eval;
 mod mask_finder;
@@ -33,6 +34,8 @@ struct Arguments {
 enum Command {
     /// Estimate the pose of instances in query views relative to a reference view
     Estimate(estimate::EstimateArguments),
+    /// Say what is wrong with views or a dataset: units, missing depth, registration, masks; exit code 1 when something is
+    Doctor(doctor::DoctorArguments),
     /// Estimate every target of a BOP dataset and score the poses
     Eval(eval::EvalArguments),
     /// Measure every stage of the network on targets whose poses are known
@@ -59,6 +62,7 @@ fn main() -> std::process::ExitCode {
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
     let done = match Arguments::parse().command {
         Command::Estimate(arguments) => estimate::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Analyse(arguments) => analyse::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),

@@ -58,16 +58,26 @@ pub enum DataError {
     },
     /// The reference is implausibly small or large.
     #[error(
-        "the reference's radius is {radius} m, expected between {minimum} and {maximum} m: is depth_scale (depth unit to \
-         millimetres) right?"
+        "the reference has a radius of {radius:.4} m and is {distance:.3} m away, expected a radius from {minimum} to \
+         {maximum} m{hint}"
     )]
     Radius {
         /// Largest distance of the reference's points to their mean, metres.
-        radius: f32,
+        radius: f64,
+        /// Distance of their mean from the camera, metres.
+        distance: f64,
         /// Smallest plausible radius, metres.
-        minimum: f32,
+        minimum: f64,
         /// Largest plausible radius, metres.
-        maximum: f32,
+        maximum: f64,
+        /// The unit of depth that would be plausible.
+        hint: String,
+    },
+    /// A query is compared with a reference that has no size.
+    #[error("the radius of the query's reference is {radius} m, expected a finite number above 0")]
+    QueryRadius {
+        /// Of the reference, metres.
+        radius: f32,
     },
     /// The dataset has nothing to make a pair of.
     #[error("the dataset has no instance that is visible enough and has a reference view in another image")]

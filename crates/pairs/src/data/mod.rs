@@ -11,6 +11,7 @@ mod error;
 mod frame_cache;
 mod label;
 mod pairs;
+mod plausible;
 mod pose_noise;
 mod prepare;
 mod selection;
@@ -20,10 +21,10 @@ pub use crop::imagenet_normalised;
 pub use error::DataError;
 pub use label::overlap_share;
 pub use pairs::{FrameSource, PairKey, PairSampler, TrainSample};
+pub use plausible::{Plausibility, plausibility, scale_correction};
 pub use pose_noise::PoseNoise;
 pub use prepare::{
     CloudInput, PreparedReference, metric_pose, normalised_pose, positional_groups, prepare_query,
     prepare_reference, query_from_points, reference_from_points,
 };
-pub use selection::MAX_RADIUS;
 pub use stream::BatchStream;

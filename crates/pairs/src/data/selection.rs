@@ -13,12 +13,9 @@ use super::{
     DataError,
     color::augment_color,
     crop::{CropBox, normalised_resize},
+    plausible::{RADIUS, unit_hint},
 };
 
-/// Smallest plausible reference radius, metres.
-const MIN_RADIUS: f32 = 1e-3;
-/// Largest plausible reference radius, metres.
-pub const MAX_RADIUS: f32 = 5.0;
 /// An object needs more masked pixels than this.
 const MIN_PIXELS: usize = 8;
 /// Query points farther from their mean than this many reference radii are dropped.
@@ -62,8 +59,8 @@ pub fn select_reference(
     let view = masked_view(frame, mask, config.image_size, options)?;
     let kept = near_the_median(&view.points, config.reference_reach as f64);
     let selection = sample(view, &kept, config.reference_points, rng);
+    check_size(&selection.points)?;
     let (_, radius) = radius_about_mean(&selection.points);
-    check_radius(radius)?;
     Ok((selection, radius))
 }
 
@@ -76,7 +73,9 @@ pub fn select_query(
     options: SelectionOptions,
     rng: &mut impl Rng,
 ) -> Result<SampledView, DataError> {
-    check_radius(radius)?;
+    if !(radius.is_finite() && radius > 0.0) {
+        return Err(DataError::QueryRadius { radius });
+    }
     let minimum = options.min_points;
     let view = masked_view(frame, mask, config.image_size, options)?;
     let limit = MAX_QUERY_RADII * radius as f64;
@@ -111,12 +110,18 @@ fn near_the_median(points: &[[f32; 3]], reach: f64) -> Vec<u32> {
     all.filter(|&i| distances[i as usize] <= limit).collect()
 }
 
-fn check_radius(radius: f32) -> Result<(), DataError> {
-    if (MIN_RADIUS..=MAX_RADIUS).contains(&radius) {
-        Ok(())
-    } else {
-        Err(DataError::Radius { radius, minimum: MIN_RADIUS, maximum: MAX_RADIUS })
+/// Refuses points of no object in front of a depth camera. Points without depth, which a quirk puts into the camera, do not
+/// count.
+fn check_size(points: &[[f32; 3]]) -> Result<(), DataError> {
+    let measured: Vec<[f32; 3]> = points.iter().copied().filter(|p| p[2] > 0.0).collect();
+    let (mean, radius) = radius_about_mean(&measured);
+    let distance = mean.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
+    let radius = f64::from(radius);
+    if RADIUS.contains(&radius) {
+        return Ok(());
     }
+    let (minimum, maximum) = RADIUS.into_inner();
+    Err(DataError::Radius { radius, distance, minimum, maximum, hint: unit_hint(distance, radius) })
 }
 
 fn masked_view(

@@ -234,13 +234,78 @@ fn bad_cameras_are_named() {
     files.refused(&[("--camera", "other.json")], "other.json", "640 x 480, expected 320 x 240");
     // Units read as metres, and as thousandths of a millimetre.
     camera("metres.json", "300", "100");
-    files.refused(&[("--reference-camera", "metres.json")], "metres.json", "radius");
+    files.refused(
+        &[("--reference-camera", "metres.json")],
+        "metres.json",
+        "depth_scale of 0.1 instead of 100",
+    );
     camera("micro.json", "300", "0.0001");
-    files.refused(&[("--reference-camera", "micro.json")], "micro.json", "depth_scale");
+    files.refused(&[("--reference-camera", "micro.json")], "micro.json", "depth_scale of 0.1 instead");
     // The query in another unit than the reference.
     std::fs::copy(files.at("camera.json"), files.at("reference.json")).unwrap();
     let cameras = [("--camera", "metres.json"), ("--reference-camera", "reference.json")];
-    files.refused(&cameras, "metres.json", "reference radii");
+    files.refused(&cameras, "metres.json", "depth_scale of 0.1 instead of 100");
+}
+
+/// `doctor` on the same files as `estimate`: exit code and standard output.
+fn doctor(files: &Files, camera: &str, query_mask: &str) -> (Option<i32>, String) {
+    let path = |name: &str| files.at(name).display().to_string();
+    let mut arguments = vec!["doctor".to_owned()];
+    for (flag, file) in [
+        ("--query-rgb", "query/rgb/a.png"),
+        ("--query-depth", "query/depth/a.png"),
+        ("--query-mask", query_mask),
+        ("--reference-rgb", "reference/rgb/a.png"),
+        ("--reference-depth", "reference/depth/a.png"),
+        ("--reference-mask", "reference/mask/a_0.png"),
+        ("--camera", camera),
+        ("--out", "doctor"),
+    ] {
+        arguments.extend([flag.to_owned(), path(file)]);
+    }
+    let output = run(arguments);
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("panicked"));
+    (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+#[test]
+fn a_doubtful_unit_is_a_warning_and_an_impossible_one_is_wrong() {
+    let files = Files::new();
+    let camera = |name: &str, scale: &str| {
+        let text = format!(r#"{{"cam_K": [300, 0, 159.5, 0, 300, 119.5, 0, 0, 1], "depth_scale": {scale}}}"#);
+        std::fs::write(files.at(name), text).unwrap();
+    };
+    let units = |camera: &str| -> Vec<serde_json::Value> {
+        let output = files.estimate(&[("--camera", camera)], &[]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let pose: serde_json::Value = read_json(&files.at("out/pose.json")).unwrap();
+        let warnings = pose["warnings"].as_array().unwrap();
+        warnings.iter().filter(|warning| warning["check"] == "unit").cloned().collect()
+    };
+    assert!(units("camera.json").is_empty());
+    camera("tenfold.json", "1");
+    let tenfold = units("tenfold.json");
+    assert_eq!(
+        (tenfold.len(), &tenfold[0]["view"], &tenfold[0]["level"]),
+        (2, &"reference".into(), &"look".into())
+    );
+    for warning in &tenfold {
+        let advice = warning["advice"].as_str().unwrap();
+        assert!(advice.contains("depth_scale of 0.1 instead of 1"), "{advice}");
+        assert!(warning["values"]["distance_m"].as_f64().unwrap() > 4.0, "{warning}");
+    }
+
+    let (code, text) = doctor(&files, "camera.json", "query/mask/a_0.png");
+    assert!(code == Some(0) && text.contains("is that right?"), "{text}");
+    assert!(!text.contains("\n  wrong"), "{text}");
+    assert!(image::open(files.at("doctor/doctor.png")).unwrap().width() > 1000);
+    camera("metres.json", "100");
+    let (code, text) = doctor(&files, "metres.json", "query/mask/a_0.png");
+    assert!(code == Some(1) && text.contains("\n  wrong  unit"), "{text}");
+    // What cannot be read is wrong as well, and the rest is still looked at.
+    let (code, text) = doctor(&files, "camera.json", "query/rgb/absent.png");
+    assert!(code == Some(1) && text.contains("\n  wrong  images") && text.contains("absent.png"), "{text}");
+    assert!(text.contains("reference: ") && text.contains("is that right?"), "{text}");
 }
 
 #[test]
