@@ -94,7 +94,7 @@ pub(super) fn labels(bytes: &[u8], path: &Path, always_indices: bool) -> Result<
         let (values, full) = match values {
             Values::Integers(values, bits) => (values, (bits <= 16).then(|| (1 << bits) - 1)),
             // Probabilities, unless they are numbers.
-            Values::Floats(values) if values.iter().all(|&v| !(v > 1.0)) => {
+            Values::Floats(values) if !values.iter().any(|&v| v > 1.0) => {
                 (values.iter().map(|v| (v * 255.0).round() as u32).collect(), Some(255))
             }
             Values::Floats(values) => (values.iter().map(|v| v.round() as u32).collect(), None),

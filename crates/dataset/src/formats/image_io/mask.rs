@@ -35,8 +35,8 @@ impl FromStr for MaskValue {
     fn from_str(text: &str) -> Result<Self, String> {
         let numbers: Option<Vec<u32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
         match numbers.unwrap_or_default().as_slice() {
-            &[number] if number > 0 => Ok(Self::Number(number)),
-            &[r, g, b] if r.max(g).max(b) <= 255 => Ok(Self::Color([r as u8, g as u8, b as u8])),
+            [number] if *number > 0 => Ok(Self::Number(*number)),
+            [r, g, b] if *r.max(g).max(b) <= 255 => Ok(Self::Color([*r as u8, *g as u8, *b as u8])),
             _ => Err(format!("{text:?}, expected a number above 0, or R,G,B from 0 to 255")),
         }
     }
