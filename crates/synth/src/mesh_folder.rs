@@ -35,7 +35,7 @@ impl MeshFolder {
         if config.mesh_folder.as_os_str().is_empty() {
             return Ok(Self::default());
         }
-        collect(&config.mesh_folder, &mut files)?;
+        collect(&config.mesh_folder, &mut Vec::new(), &mut files)?;
         files.sort();
         let of_layout = |layout: MeshLayout| files.iter().filter(|f| belongs(f, layout)).cloned().collect();
         let detected = [MeshLayout::Gso, MeshLayout::ShapeNet]
@@ -54,6 +54,11 @@ impl MeshFolder {
     /// Whether no folder is configured.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
+    }
+
+    /// All mesh files.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
     }
 
     /// File number `index`, and around again.
@@ -140,17 +145,24 @@ fn belongs(file: &Path, layout: MeshLayout) -> bool {
     }
 }
 
-fn collect(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
+/// Mesh files below `folder`; `above` are the folders that it lies in, which links may lead back to.
+fn collect(folder: &Path, above: &mut Vec<PathBuf>, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
     let error = |source| SynthError::Io { path: folder.to_owned(), source };
+    let place = folder.canonicalize().map_err(error)?;
+    if above.contains(&place) {
+        return Ok(());
+    }
+    above.push(place);
     for entry in std::fs::read_dir(folder).map_err(error)? {
         let path = entry.map_err(error)?.path();
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         if path.is_dir() {
-            collect(&path, found)?;
+            collect(&path, above, found)?;
         } else if ["ply", "obj", "stl", "glb", "gltf"].contains(&extension.as_str()) {
             found.push(path);
         }
     }
+    above.pop();
     Ok(())
 }
 
