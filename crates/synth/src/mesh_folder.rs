@@ -224,15 +224,45 @@ mod tests {
             ("empty.obj", String::new()),
             ("nan.obj", nan),
             ("huge unit.obj", tetrahedron(100.0)),
+            ("far.obj", tetrahedron(1e30)),
+            ("text.glb", "glTF, says the name".to_owned()),
+            ("count.stl", "\u{7f}".repeat(134)),
         ];
         let (_folder, config) = folder(&files);
         let config = SynthConfig { mesh_share: 1.0, texture_size: 32, ..config };
         let library = crate::object::ObjectLibrary::new(&config).unwrap();
-        let objects: Vec<_> = (1..=4).map(|id| library.build(id)).collect();
-        assert_eq!(library.replaced(), 2);
+        let objects: Vec<_> = (1..=7).map(|id| library.build(id)).collect();
+        assert_eq!(library.replaced(), 5);
+        library.check_meshes().unwrap();
         let named = |name: &str| objects.iter().find(|o| o.name.starts_with(name)).unwrap();
         assert!((named("good").mesh.diameter() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
         let [low, high] = config.diameter;
         assert!((low..=high).contains(&named("huge unit").mesh.diameter()));
+    }
+
+    #[test]
+    fn a_folder_without_any_usable_mesh_is_an_error() {
+        let broken = [("a.obj", tetrahedron(1e30)), ("b.glb", "{}".to_owned())];
+        let (place, config) = folder(&broken);
+        let config = SynthConfig { mesh_share: 1.0, texture_size: 32, ..config };
+        let get = |config: &SynthConfig| crate::object_cache::ObjectCache::new(config)?.get(&[1, 2], &|| {});
+        let message = get(&config).unwrap_err().to_string();
+        assert!(message.contains("none of 2 meshes can be used; the first:"), "{message}");
+        assert!(message.contains("a.obj: mesh extends over 1e30 m"), "{message}");
+        // Objects 1 and 2 have b.glb and c.glb; the usable mesh is one that no object has yet.
+        std::fs::write(place.path().join("a.obj"), tetrahedron(0.1)).unwrap();
+        std::fs::write(place.path().join("c.glb"), "{}").unwrap();
+        let objects = get(&config).unwrap();
+        assert!(objects.iter().all(|o| !o.name.starts_with("a_")), "{:?}", objects[0].name);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_back_to_a_folder_above_are_not_followed() {
+        let (place, config) = folder(&[("a/one.obj", tetrahedron(0.1)), ("b/two.obj", tetrahedron(0.1))]);
+        for link in ["a/up", "b/up"] {
+            std::os::unix::fs::symlink(place.path(), place.path().join(link)).unwrap();
+        }
+        assert_eq!(MeshFolder::open(&config).unwrap().files.len(), 2);
     }
 }
