@@ -40,7 +40,7 @@ pub fn generate_bop(
     reserve(config, out, Layout::Scenes)?;
     let mut cache = ObjectCache::new(config)?;
     write_models(config, out, "synth", &mut cache, progress)?;
-    let assets = cache.scene_assets(config, 0);
+    let assets = cache.scene_assets(config, 0)?;
     let infos = write_eval_models(out, &assets.objects)?;
     let split = out.join("test");
     let scenes = shard::scene_count(config, config.images);

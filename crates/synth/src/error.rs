@@ -35,6 +35,16 @@ pub enum SynthError {
         /// The folder that was searched.
         folder: PathBuf,
     },
+    /// Every mesh of `synth.mesh_folder` is broken.
+    #[error("{}: none of {files} meshes can be used; the first: {reason}", folder.display())]
+    NoUsableMesh {
+        /// The folder of the meshes.
+        folder: PathBuf,
+        /// Number of mesh files in it.
+        files: usize,
+        /// Why the first one cannot be used.
+        reason: String,
+    },
     /// A folder to be checked holds no data set.
     #[error("{}: neither shards (shard-NNNNNN.tar, train_pbr_web/) nor BOP scenes (SPLIT/SSSSSS/scene_camera.json) found", folder.display())]
     NoDataset {

@@ -79,7 +79,7 @@ fn make_shards(
             report(images);
             continue;
         }
-        let assets = cache.scene_assets(config, shard);
+        let assets = cache.scene_assets(config, shard)?;
         let mut writer = ShardWriter::default();
         for image in shard::encode_shard(config, &assets, shard, images, &report)? {
             writer.push(image);

@@ -35,7 +35,7 @@ impl MeshFolder {
         if config.mesh_folder.as_os_str().is_empty() {
             return Ok(Self::default());
         }
-        collect(&config.mesh_folder, &mut files)?;
+        collect(&config.mesh_folder, &mut Vec::new(), &mut files)?;
         files.sort();
         let of_layout = |layout: MeshLayout| files.iter().filter(|f| belongs(f, layout)).cloned().collect();
         let detected = [MeshLayout::Gso, MeshLayout::ShapeNet]
@@ -54,6 +54,11 @@ impl MeshFolder {
     /// Whether no folder is configured.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
+    }
+
+    /// All mesh files.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
     }
 
     /// File number `index`, and around again.
@@ -140,17 +145,24 @@ fn belongs(file: &Path, layout: MeshLayout) -> bool {
     }
 }
 
-fn collect(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
+/// Mesh files below `folder`; `above` are the folders that it lies in, which links may lead back to.
+fn collect(folder: &Path, above: &mut Vec<PathBuf>, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
     let error = |source| SynthError::Io { path: folder.to_owned(), source };
+    let place = folder.canonicalize().map_err(error)?;
+    if above.contains(&place) {
+        return Ok(());
+    }
+    above.push(place);
     for entry in std::fs::read_dir(folder).map_err(error)? {
         let path = entry.map_err(error)?.path();
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         if path.is_dir() {
-            collect(&path, found)?;
+            collect(&path, above, found)?;
         } else if ["ply", "obj", "stl", "glb", "gltf"].contains(&extension.as_str()) {
             found.push(path);
         }
     }
+    above.pop();
     Ok(())
 }
 
@@ -212,15 +224,45 @@ mod tests {
             ("empty.obj", String::new()),
             ("nan.obj", nan),
             ("huge unit.obj", tetrahedron(100.0)),
+            ("far.obj", tetrahedron(1e30)),
+            ("text.glb", "glTF, says the name".to_owned()),
+            ("count.stl", "\u{7f}".repeat(134)),
         ];
         let (_folder, config) = folder(&files);
         let config = SynthConfig { mesh_share: 1.0, texture_size: 32, ..config };
         let library = crate::object::ObjectLibrary::new(&config).unwrap();
-        let objects: Vec<_> = (1..=4).map(|id| library.build(id)).collect();
-        assert_eq!(library.replaced(), 2);
+        let objects: Vec<_> = (1..=7).map(|id| library.build(id)).collect();
+        assert_eq!(library.replaced(), 5);
+        library.check_meshes().unwrap();
         let named = |name: &str| objects.iter().find(|o| o.name.starts_with(name)).unwrap();
         assert!((named("good").mesh.diameter() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
         let [low, high] = config.diameter;
         assert!((low..=high).contains(&named("huge unit").mesh.diameter()));
+    }
+
+    #[test]
+    fn a_folder_without_any_usable_mesh_is_an_error() {
+        let broken = [("a.obj", tetrahedron(1e30)), ("b.glb", "{}".to_owned())];
+        let (place, config) = folder(&broken);
+        let config = SynthConfig { mesh_share: 1.0, texture_size: 32, ..config };
+        let get = |config: &SynthConfig| crate::object_cache::ObjectCache::new(config)?.get(&[1, 2], &|| {});
+        let message = get(&config).unwrap_err().to_string();
+        assert!(message.contains("none of 2 meshes can be used; the first:"), "{message}");
+        assert!(message.contains("a.obj: mesh extends over 1e30 m"), "{message}");
+        // Objects 1 and 2 have b.glb and c.glb; the usable mesh is one that no object has yet.
+        std::fs::write(place.path().join("a.obj"), tetrahedron(0.1)).unwrap();
+        std::fs::write(place.path().join("c.glb"), "{}").unwrap();
+        let objects = get(&config).unwrap();
+        assert!(objects.iter().all(|o| !o.name.starts_with("a_")), "{:?}", objects[0].name);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_back_to_a_folder_above_are_not_followed() {
+        let (place, config) = folder(&[("a/one.obj", tetrahedron(0.1)), ("b/two.obj", tetrahedron(0.1))]);
+        for link in ["a/up", "b/up"] {
+            std::os::unix::fs::symlink(place.path(), place.path().join(link)).unwrap();
+        }
+        assert_eq!(MeshFolder::open(&config).unwrap().files.len(), 2);
     }
 }

@@ -49,7 +49,7 @@ pub(super) fn write_models(
     let mut infos = BTreeMap::new();
     let ids: Vec<u32> = (1..=config.objects as u32).collect();
     for chunk in ids.chunks(config.objects_per_shard) {
-        let objects = cache.get(chunk, &report);
+        let objects = cache.get(chunk, &report)?;
         let written: Vec<Result<ModelInfo, SynthError>> = objects
             .par_iter()
             .map(|object| {

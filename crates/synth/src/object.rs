@@ -1,9 +1,9 @@
 //! The objects of a set: procedural ones and meshes from a folder.
 
 use std::{
-    collections::BTreeSet,
-    path::Path,
-    sync::{Arc, Mutex, PoisonError},
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
@@ -73,14 +73,24 @@ impl SynthObject {
 pub(super) struct ObjectLibrary {
     config: SynthConfig,
     folder: MeshFolder,
+    tried: Arc<Mutex<Tried>>,
+}
+
+/// What became of the mesh files so far.
+#[derive(Debug, Default)]
+struct Tried {
+    /// Whether any could be used.
+    usable: bool,
+    /// Files that could not be used, with the reason.
+    broken: BTreeMap<PathBuf, String>,
     /// Ids of objects whose mesh file could not be used.
-    replaced: Arc<Mutex<BTreeSet<u32>>>,
+    replaced: BTreeSet<u32>,
 }
 
 impl ObjectLibrary {
     /// Opens `synth.mesh_folder` where one is configured.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, replaced: Arc::default() })
+        Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, tried: Arc::default() })
     }
 
     /// Object `obj_id` (1-based). A mesh file that cannot be used is reported and replaced by a procedural object.
@@ -92,10 +102,15 @@ impl ObjectLibrary {
             // Every file is used before one comes again.
             let file = self.folder.file(obj_id as usize);
             match self.load_file(obj_id, file, diameter) {
-                Ok(object) => return object,
+                Ok(object) => {
+                    self.tried().usable = true;
+                    return object;
+                }
                 Err(error) => {
                     tracing::warn!("object {obj_id}: {error}; a procedural object takes its place");
-                    self.replaced.lock().unwrap_or_else(PoisonError::into_inner).insert(obj_id);
+                    let mut tried = self.tried();
+                    tried.broken.insert(file.to_owned(), error.to_string());
+                    tried.replaced.insert(obj_id);
                 }
             }
         }
@@ -124,7 +139,34 @@ impl ObjectLibrary {
 
     /// How many objects had to be made up because their mesh file could not be used.
     pub fn replaced(&self) -> usize {
-        self.replaced.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.tried().replaced.len()
+    }
+
+    /// Refuses a folder in which no mesh can be used, once that is to be feared: the files that no object has yet are
+    /// tried where all others were broken.
+    pub fn check_meshes(&self) -> Result<(), SynthError> {
+        let mut tried = self.tried();
+        if tried.usable || tried.broken.is_empty() {
+            return Ok(());
+        }
+        for file in self.folder.files() {
+            if tried.broken.contains_key(file) {
+                continue;
+            }
+            if let Err(error) = self.folder.load(file, &self.config, self.config.diameter[0]) {
+                tried.broken.insert(file.clone(), error.to_string());
+            } else {
+                tried.usable = true;
+                return Ok(());
+            }
+        }
+        let reason = tried.broken.values().next().cloned().unwrap_or_default();
+        let (folder, files) = (self.config.mesh_folder.clone(), self.folder.files().len());
+        Err(SynthError::NoUsableMesh { folder, files, reason })
+    }
+
+    fn tried(&self) -> MutexGuard<'_, Tried> {
+        self.tried.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -37,20 +37,21 @@ impl ObjectCache {
     }
 
     /// What the scenes of a shard are made of. Distractors have ids above those of the set's objects.
-    pub fn scene_assets(&mut self, config: &SynthConfig, shard: u32) -> SceneAssets {
+    pub fn scene_assets(&mut self, config: &SynthConfig, shard: u32) -> Result<SceneAssets, SynthError> {
         let mut ids = pool_of(config, shard);
         let own = ids.len();
         if config.distractors[1] > 0 {
             let first = config.objects + shard as usize * DISTRACTORS_PER_SHARD;
             ids.extend((1..=DISTRACTORS_PER_SHARD).map(|k| (first + k) as u32));
         }
-        let mut objects = self.get(&ids, &|| {});
+        let mut objects = self.get(&ids, &|| {})?;
         let distractors = objects.split_off(own);
-        SceneAssets { objects, distractors, backgrounds: self.backgrounds.clone() }
+        Ok(SceneAssets { objects, distractors, backgrounds: self.backgrounds.clone() })
     }
 
-    /// The objects in the order of `ids`; `done` is called after each one that had to be made.
-    pub fn get(&mut self, ids: &[u32], done: &(dyn Fn() + Sync)) -> Vec<SynthObject> {
+    /// The objects in the order of `ids`; `done` is called after each one that had to be made. A mesh folder without
+    /// any usable mesh is an error.
+    pub fn get(&mut self, ids: &[u32], done: &(dyn Fn() + Sync)) -> Result<Vec<SynthObject>, SynthError> {
         let wanted: HashSet<u32> = ids.iter().copied().collect();
         self.built.retain(|id, _| wanted.contains(id));
         let missing: Vec<u32> = ids.iter().copied().filter(|id| !self.built.contains_key(id)).collect();
@@ -61,7 +62,8 @@ impl ObjectCache {
             (id, object)
         };
         self.built.extend(missing.par_iter().map(make).collect::<Vec<_>>());
-        ids.iter().filter_map(|id| self.built.get(id).cloned()).collect()
+        self.library.check_meshes()?;
+        Ok(ids.iter().filter_map(|id| self.built.get(id).cloned()).collect())
     }
 }
 

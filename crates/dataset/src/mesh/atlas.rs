@@ -1,6 +1,6 @@
 //! Several materials in one picture, as OBJ and GLB files of product scans and ShapeNet have them.
 
-use std::sync::Arc;
+use std::{path::Path, sync::Arc};
 
 use image::{Rgb, RgbImage, imageops};
 
@@ -21,17 +21,27 @@ const BORDER: u32 = 2;
 
 impl TriangleMesh {
     /// Gives the mesh its materials; `of_face` holds one index per face. One picture stays as it is; several pictures,
-    /// or pictures beside plain colours, become one; colours alone become vertex colours. Expects `uvs` for every
-    /// vertex where there are pictures.
-    pub(super) fn paint(&mut self, materials: &[Material], of_face: &[u32]) {
+    /// or pictures beside plain colours, become one; colours alone become vertex colours where the vertices of the
+    /// file at `path` have none. Expects `uvs` for every vertex where there are pictures.
+    pub(super) fn paint(&mut self, path: &Path, materials: &[Material], of_face: &[u32]) {
         let mut used: Vec<u32> = of_face.to_vec();
         used.sort_unstable();
         used.dedup();
         let material = |m: u32| materials.get(m as usize).cloned().unwrap_or_default();
         let with_uvs = self.uvs.len() == self.vertices.len();
         let pictures = used.iter().filter(|&&m| material(m).picture.is_some()).count();
+        let colored = !self.colors.is_empty();
+        if pictures > 0 && with_uvs {
+            if self.colors.iter().any(|color| *color != [255; 3]) {
+                tracing::warn!("{}: vertex colours beside a texture are not used", path.display());
+            }
+            self.colors.clear();
+        }
         match used.as_slice() {
             _ if pictures == 0 || !with_uvs => {
+                if colored {
+                    return;
+                }
                 self.colors = vec![[176; 3]; self.vertices.len()];
                 for (face, &m) in self.faces.iter().zip(of_face) {
                     face.iter().for_each(|&v| self.colors[v as usize] = material(m).color);

@@ -32,9 +32,18 @@ pub enum MeshError {
     },
 }
 
+/// Characters of a reader's reason that are shown.
+const LONGEST_REASON: usize = 400;
+
 impl MeshError {
     pub(super) fn read(path: &Path, reason: impl ToString) -> Self {
-        Self::Read { path: path.to_owned(), reason: reason.to_string() }
+        // Readers quote the input, of which a line may have megabytes.
+        let mut reason = reason.to_string();
+        if let Some((end, _)) = reason.char_indices().nth(LONGEST_REASON) {
+            reason.truncate(end);
+            reason += "...";
+        }
+        Self::Read { path: path.to_owned(), reason }
     }
 }
 
@@ -57,6 +66,12 @@ pub enum InvalidMesh {
         index: usize,
         /// Its coordinates.
         value: [f32; 3],
+    },
+    /// The mesh is too large or too small for any object, mostly because of its unit.
+    #[error("mesh extends over {extent:e} m, expected 1e-6 to 1e3 m")]
+    Extent {
+        /// Longest side of the box around it, metres.
+        extent: f32,
     },
     /// A face has a corner that is no vertex.
     #[error("face {face} refers to vertex {vertex}, but there are only {vertices}")]

@@ -1,27 +1,9 @@
 //! Tiny files of every format.
 
-use std::path::PathBuf;
-
-use super::*;
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(&path, content).unwrap();
-        path
-    }
-
-    fn picture(&self, name: &str, color: [u8; 3]) {
-        image::RgbImage::from_pixel(8, 8, image::Rgb(color)).save(self.0.path().join(name)).unwrap();
-    }
-}
+use super::{
+    test_files::{Folder, glb},
+    *,
+};
 
 /// Colour of the texture in the middle of a face.
 fn painted(mesh: &TriangleMesh, face: usize) -> [u8; 3] {
@@ -98,17 +80,7 @@ fn a_glb_is_placed_by_its_nodes_and_coloured_by_its_material() {
             {"bufferView":1,"componentType":5123,"count":3,"type":"SCALAR"}],
         "bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":36},{"buffer":0,"byteOffset":36,"byteLength":6}],
         "buffers":[{"byteLength":44}]}"#;
-    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
-    let mut glb: Vec<u8> = b"glTF".to_vec();
-    let total = 12 + 8 + json.len() + 8 + buffer.len();
-    for word in [2, total as u32, json.len() as u32, 0x4E4F_534A] {
-        glb.extend(word.to_le_bytes());
-    }
-    glb.extend(json.as_bytes());
-    for word in [buffer.len() as u32, 0x004E_4942] {
-        glb.extend(word.to_le_bytes());
-    }
-    glb.extend(&buffer);
+    let glb = glb(json, &buffer);
     let folder = Folder::new();
     let mesh = load(&folder.write("t.glb", &glb), 0.5).unwrap();
     assert_eq!(mesh.vertices, [[0.0, 0.0, 2.5], [2.0, 0.0, 2.5], [0.0, 2.0, 2.5]]);

@@ -28,6 +28,8 @@ impl Bounds {
     }
 }
 
+/// Longest sides of a mesh, metres.
+const PLAUSIBLE: std::ops::RangeInclusive<f32> = 1e-6..=1e3;
 /// Below this many points the diameter is searched over all pairs.
 const ALL_PAIRS: usize = 400;
 
@@ -65,7 +67,7 @@ impl TriangleMesh {
         try_convex_hull(&points).ok().map(|(vertices, _)| vertices)
     }
 
-    /// Refuses empty meshes, NaN or infinite coordinates and indices out of range.
+    /// Refuses empty meshes, NaN or infinite coordinates, sizes that no object has and indices out of range.
     pub fn validate(&self) -> Result<(), InvalidMesh> {
         let vertices = self.vertices.len();
         if vertices < 3 || self.faces.is_empty() {
@@ -82,6 +84,10 @@ impl TriangleMesh {
             self.vertices.iter().enumerate().find(|(_, v)| v.iter().any(|x| !x.is_finite()))
         {
             return Err(InvalidMesh::NotFinite { index, value });
+        }
+        let extent = self.bounds().size().into_iter().fold(0.0, f32::max);
+        if !PLAUSIBLE.contains(&extent) {
+            return Err(InvalidMesh::Extent { extent });
         }
         for (face, corners) in self.faces.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {

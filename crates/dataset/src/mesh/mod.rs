@@ -4,10 +4,13 @@
 
 mod atlas;
 mod error;
+mod file;
 mod glb;
 mod measure;
 mod normals;
 mod obj;
+mod obj_lines;
+mod picture;
 pub mod ply;
 mod stl;
 mod triangle_mesh;
@@ -21,7 +24,9 @@ use std::path::Path;
 
 /// Loads a mesh by its extension (ply, obj, stl, glb, gltf) and multiplies coordinates by `scale_to_metres`.
 ///
-/// Normals missing in the file are computed; a missing texture file is reported in the log and left out.
+/// Normals missing in the file are computed; a texture that cannot be read is reported in the log and left out. A file
+/// that contradicts itself, or a mesh whose size no object has, is an error; memory stays within a small multiple of
+/// the file's length and its pictures.
 pub fn load(path: &Path, scale_to_metres: f32) -> Result<TriangleMesh, MeshError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let mut mesh = match extension.as_str() {
@@ -34,13 +39,26 @@ pub fn load(path: &Path, scale_to_metres: f32) -> Result<TriangleMesh, MeshError
     mesh.scale(scale_to_metres);
     mesh.validate().map_err(|source| MeshError::Invalid { path: path.to_owned(), source })?;
     mesh.remove_degenerate_faces();
-    if mesh.normals.len() != mesh.vertices.len() {
+    if mesh.uvs.iter().flatten().any(|x| !x.is_finite()) {
+        tracing::warn!("{}: texture coordinates that are not finite; taken for 0", path.display());
+        mesh.uvs.iter_mut().flatten().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
+    }
+    let finite_normals = mesh.normals.iter().flatten().all(|x| x.is_finite());
+    if mesh.normals.len() != mesh.vertices.len() || !finite_normals {
         mesh.compute_normals();
     }
     Ok(mesh)
 }
 
 #[cfg(test)]
+mod broken_tests;
+#[cfg(test)]
+mod color_tests;
+#[cfg(test)]
 mod format_tests;
+#[cfg(test)]
+mod mutation_tests;
+#[cfg(test)]
+mod test_files;
 #[cfg(test)]
 mod tests;

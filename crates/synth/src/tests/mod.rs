@@ -29,7 +29,7 @@ fn small() -> SynthConfig {
 }
 
 fn assets(config: &SynthConfig) -> SceneAssets {
-    object_cache::ObjectCache::new(config).unwrap().scene_assets(config, 0)
+    object_cache::ObjectCache::new(config).unwrap().scene_assets(config, 0).unwrap()
 }
 
 /// A few scenes with one view each.

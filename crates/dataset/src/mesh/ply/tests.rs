@@ -1,4 +1,7 @@
-use super::*;
+use super::{
+    super::{MeshError, TriangleMesh},
+    *,
+};
 
 fn read_text(text: impl AsRef<[u8]>) -> Result<TriangleMesh, MeshError> {
     let folder = tempfile::tempdir().unwrap();

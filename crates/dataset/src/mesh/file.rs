@@ -1,0 +1,27 @@
+//! Files as bytes and lines.
+
+use std::{borrow::Cow, path::Path};
+
+/// The content of a regular file; the reason when it cannot be had.
+pub(super) fn read_regular(path: &Path) -> Result<Vec<u8>, String> {
+    let metadata = std::fs::metadata(path).map_err(|e| e.to_string())?;
+    if !metadata.is_file() {
+        return Err("not a regular file".to_owned());
+    }
+    std::fs::read(path).map_err(|e| e.to_string())
+}
+
+/// A line as UTF-8, otherwise as Latin-1: names in old files stay different from each other.
+pub(super) fn decode(line: &[u8]) -> Cow<'_, str> {
+    match std::str::from_utf8(line) {
+        Ok(text) => text.into(),
+        Err(_) => line.iter().map(|&b| char::from(b)).collect::<String>().into(),
+    }
+}
+
+/// A text of the input in a message: its beginning, in quotation marks.
+pub(super) fn excerpt(text: &str) -> String {
+    const LONGEST: usize = 60;
+    let start: String = text.trim_end().chars().take(LONGEST).collect();
+    if start.len() < text.trim_end().len() { format!("{start:?}...") } else { format!("{start:?}") }
+}
