@@ -261,13 +261,15 @@ mod tests {
             let mut found = Vec::new();
             let config = with(&[color.to_owned()]).unwrap();
             numbers(&serde_json::to_value(&config).unwrap(), "", &mut found);
-            for (path, value) in found {
+            // The other keys are the same with every colour encoder.
+            let is_new = |path: &str| color == COLORS[0] || path.starts_with("model.color.");
+            for (path, value) in found.into_iter().filter(|(path, _)| is_new(path)) {
                 for extreme in EXTREMES {
                     let entries = value.as_array().map(|list| vec![extreme; list.len()].join(", "));
                     let text = entries.map_or(extreme.to_owned(), |entries| format!("[{entries}]"));
                     let set = format!("{path}={text}");
                     match with(&[color.to_owned(), set.clone()]) {
-                        Ok(config) => assert!(config.to_commented_toml().is_ok(), "{set}"),
+                        Ok(config) => assert!(config.to_toml().is_ok(), "{set}"),
                         Err(error) => {
                             let message = error.to_string();
                             assert!(message.contains(&path), "{set}: {message}");
@@ -277,14 +279,14 @@ mod tests {
                 }
             }
         }
-        assert!(refused > 2000, "{refused}");
+        assert!(refused > 800, "{refused}");
     }
 
     #[test]
     fn products_are_limited_too() {
         for (set, part) in [
             (
-                ["train.batch_size=65536", "model.image_size=2048"],
+                ["train.batch_size=65536", "model.image_size=1792"],
                 "train.batch_size is 65536, expected so small",
             ),
             (["train.prefetch=1024", "train.batch_size=512"], "train.prefetch is 1024, expected so small"),
@@ -320,7 +322,7 @@ mod tests {
             "train.batch_size=256",
             "train.batch_size=512",
             "model.image_size=518",
-            "model.fine_points=8192",
+            "model.fine_points=4096",
             "synth.images_per_shard=1000",
             "synth.texture_size=2048",
             r#"model.color={kind="vit", embed_dim=1536, depth=40, heads=24}"#,

@@ -27,4 +27,6 @@ pub use write_index::write_index_files;
 pub use writer::{EncodedImage, ShardWriter, shard_file_name};
 
 #[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
 mod tests;
