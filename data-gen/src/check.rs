@@ -79,6 +79,13 @@ fn print(arguments: &Arguments, report: &CheckReport) -> std::io::Result<()> {
             )?;
         }
     }
+    let (mended, skipped) = (report.mended_masks(), report.skipped_instances());
+    if mended + skipped > 0 {
+        writeln!(
+            out,
+            "training mends {mended} inverted masks and skips {skipped} instances of these images"
+        )?;
+    }
     let (parts, images, count) = (report.parts.len(), report.images(), report.finding_count());
     writeln!(out, "{root}: {images} images in {parts} parts, {count} findings")
 }

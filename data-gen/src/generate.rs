@@ -117,6 +117,7 @@ fn configuration(arguments: &Arguments) -> Result<SynthConfig> {
             Err(_) => bail!("--objects {objects}: neither a number nor a folder"),
         }
     }
+    config.check()?;
     let tree = Config { synth: config, ..Config::default() };
     let fields: Vec<String> = arguments.set.iter().map(|field| format!("synth.{field}")).collect();
     Ok(Config::from_toml(&tree.to_toml()?, Path::new("--set"), &fields)?.synth)

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
-use unopose_core::explain;
+use unopose_core::{config::MAX_THREADS, explain};
 
 /// Makes synthetic RGB-D images of procedural objects (or of your meshes) in clutter, with exact poses and masks.
 ///
@@ -21,7 +21,7 @@ struct Arguments {
     #[command(flatten)]
     generate: Option<generate::Arguments>,
     /// Threads; one per core where not given. The result does not depend on it.
-    #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_THREADS)))]
     jobs: Option<u16>,
 }
 

@@ -1,8 +1,8 @@
 //! Why data cannot be generated or checked.
 
-use std::path::PathBuf;
+use std::{ops::Range, path::PathBuf};
 
-use unopose_core::files::FileError;
+use unopose_core::{config::ConfigError, files::FileError};
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
 
 /// Why data cannot be generated or checked.
@@ -68,14 +68,15 @@ pub enum SynthError {
         folder: PathBuf,
     },
     /// A configuration value that no images can be made with.
-    #[error("synth.{field} is {value}, expected {expected}")]
-    Config {
-        /// Its path below `synth`, such as `camera.distance`.
-        field: &'static str,
-        /// The value met.
-        value: String,
-        /// The values accepted.
-        expected: &'static str,
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Shards that the set does not have.
+    #[error("shards {}..{} of a set of {count}, expected 0..{count} or a part of it", range.start, range.end)]
+    Shards {
+        /// The shards asked for.
+        range: Range<u32>,
+        /// Shards of the whole set.
+        count: u32,
     },
     /// The folder holds data that this configuration did not make.
     #[error("{}: holds data of another configuration ({difference}); choose another folder, or allow overwriting", folder.display())]

@@ -45,56 +45,7 @@ impl Layout {
 
 /// Refuses values that cannot give images.
 pub(super) fn check(config: &SynthConfig) -> Result<(), SynthError> {
-    let error = |field, value: String, expected| Err(SynthError::Config { field, value, expected });
-    let counts = [
-        ("images", config.images),
-        ("images_per_shard", config.images_per_shard),
-        ("objects", config.objects),
-        ("objects_per_shard", config.objects_per_shard),
-        ("views_per_scene", config.views_per_scene),
-    ];
-    if let Some((field, value)) = counts.into_iter().find(|c| c.1 == 0) {
-        return error(field, value.to_string(), "at least 1");
-    }
-    if config.width < 16 || config.height < 16 || config.width > 8192 || config.height > 8192 {
-        return error(
-            "width x height",
-            format!("{} x {}", config.width, config.height),
-            "16..8192 pixels each",
-        );
-    }
-    if !(1..=8).contains(&config.supersampling) {
-        return error("supersampling", config.supersampling.to_string(), "1..8");
-    }
-    if !(32..=8192).contains(&config.texture_size) {
-        return error("texture_size", config.texture_size.to_string(), "32..8192 pixels");
-    }
-    if config.indirect_rays > 1024 {
-        return error("indirect_rays", config.indirect_rays.to_string(), "0..1024");
-    }
-    let shares = [
-        ("textureless", config.textureless),
-        ("tumbling", config.tumbling),
-        ("bins", config.bins),
-        ("shelves", config.shelves),
-        ("bins + shelves", config.bins + config.shelves),
-        ("mesh_share", config.mesh_share),
-        ("sensor.stereo", config.sensor.stereo),
-        ("sensor.stereo + sensor.time_of_flight", config.sensor.stereo + config.sensor.time_of_flight),
-    ];
-    if let Some((field, share)) = shares.into_iter().find(|s| !(0.0..=1.0).contains(&s.1)) {
-        return error(field, share.to_string(), "0..1");
-    }
-    if !(config.mesh_scale.is_finite() && config.mesh_scale > 0.0) {
-        return error("mesh_scale", config.mesh_scale.to_string(), "a finite number above 0 (metres)");
-    }
-    let ranges = [("diameter", config.diameter), ("camera.distance", config.camera.distance)];
-    for (field, [low, high]) in ranges {
-        if !(low > 0.0 && high >= low && high.is_finite()) {
-            return error(field, format!("[{low}, {high}]"), "0 < low <= high");
-        }
-    }
-    Ok(())
+    Ok(config.check()?)
 }
 
 /// Writes the configuration into the folder; refuses a folder of another configuration or layout, or with foreign data.

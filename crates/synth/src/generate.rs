@@ -64,6 +64,10 @@ fn make_shards(
 ) -> Result<GenerationSummary, SynthError> {
     let per_shard = config.images_per_shard;
     let images_in = |shard: u32| (config.images.saturating_sub(shard as usize * per_shard)).min(per_shard);
+    let count = config.images.div_ceil(per_shard.max(1)) as u32;
+    if shards.end > count {
+        return Err(SynthError::Shards { range: shards, count });
+    }
     let total = shards.clone().map(images_in).sum();
     let done = AtomicUsize::new(0);
     let report = |finished: usize| {

@@ -28,7 +28,8 @@ impl SynthConfig {
     /// [`Config::to_commented_toml`] of a configuration file that has a `[synth]` part only.
     pub fn to_commented_toml(&self) -> Result<String, ConfigError> {
         let text = toml::to_string(&BTreeMap::from([("synth", self)]))?;
-        Ok(commented(&text, &[], &Config::default().to_toml()?))
+        let tree = Config { synth: self.clone(), ..Config::default() };
+        Ok(commented(&text, &rules(&tree), &Config::default().to_toml()?))
     }
 }
 
@@ -224,10 +225,10 @@ mod tests {
     fn comments_say_range_choices_and_default() {
         let text = with(&[]).to_commented_toml().unwrap();
         for expected in [
-            "# Peak learning rate.\n# Allowed: a finite number above 0. Default: 0.0001.\nlearning_rate = 0.0008\n",
-            "# Allowed: 2 numbers, each in [0, 1). Default: [0.5, 0.999].\nbetas = [0.5, 0.999]\n",
+            "# Peak learning rate.\n# Allowed: above 0 and at most 10. Default: 0.0001.\nlearning_rate = 0.0008\n",
+            "# Allowed: 2 numbers, each at least 0 and below 1. Default: [0.5, 0.999].\nbetas = [0.5, 0.999]\n",
             "#   \"off\": No overlap heads.\n# Allowed: one of these. Default: \"release\".\noverlap = \"release\"\n",
-            "# Allowed: 3 whole numbers, each at least 1. Default: none, the key is required.\nchannels = ",
+            "# Allowed: 3 whole numbers, each 1 to 8192. Default: none, the key is required.\nchannels = ",
             "# Allowed: text. Default: unset.\n# train = \"...\"\n",
             "# The coarse matching stage, on `coarse_points` per cloud.\n[model.coarse]\n",
         ] {

@@ -5,12 +5,14 @@
 //! every key of it. Unknown keys are errors that name the file, the line and the nearest valid key.
 //!
 //! The fields' doc comments are the programs' documentation of the configuration: each says meaning, unit and special
-//! values. The ranges that are checked stand in `validate.rs`.
+//! values. The limits of all numbers stand in `limits.rs`, how they depend on each other in
+//! `validate.rs`.
 
 mod color;
 mod commented;
 mod data;
 mod error;
+mod limits;
 mod load;
 mod loss;
 mod model;
@@ -26,6 +28,7 @@ mod validate;
 pub use color::{ColorConfig, PositionResampling, VitConfig};
 pub use data::{AugmentationConfig, DataConfig, PoseNoiseConfig};
 pub use error::ConfigError;
+pub use limits::MAX_THREADS;
 pub use load::EMBEDDED_NAMES;
 pub use loss::LossConfig;
 pub use model::{

@@ -96,8 +96,8 @@ impl<'s> SchemaKey<'s> {
             (if list { &self.values["items"] } else { self.values }, if list { "s" } else { "" });
         let name = match (entry["type"].as_str(), entry["minimum"].as_u64(), entry["maximum"].as_u64()) {
             (Some("boolean"), ..) => "true or false".to_owned(),
-            (Some("integer"), Some(least), Some(most)) => {
-                format!("whole number{many} from {least} to {most}")
+            (Some("integer"), Some(least), Some(most)) if !list => {
+                format!("whole number from {least} to {most}")
             }
             (Some("integer"), Some(least), None) if !list => format!("whole number of at least {least}"),
             (Some("integer"), ..) => format!("whole number{many}"),
@@ -164,7 +164,7 @@ mod tests {
         assert_eq!(kind("train.workers"), "whole number of at least 0");
         assert_eq!(kind("train.betas"), "2 numbers");
         assert_eq!(kind("model.fine.pe_samples"), "2 whole numbers");
-        assert_eq!(kind("synth.sensor.jpeg_quality"), "2 whole numbers from 0 to 255");
+        assert_eq!(kind("synth.sensor.jpeg_quality"), "2 whole numbers");
         assert_eq!(kind("data.pose_noise.rotation_std_deg"), "a list of numbers");
         assert_eq!(kind("model.use_grf"), "true or false");
         assert_eq!(kind("data.train"), "text");

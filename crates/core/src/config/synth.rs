@@ -11,52 +11,52 @@ use serde::{Deserialize, Serialize};
 pub struct SynthConfig {
     /// Seed of objects, scenes, cameras and noise.
     pub seed: u64,
-    /// Images in the whole set, at least 1.
+    /// Images in the whole set.
     pub images: usize,
-    /// Images per shard, at least 1. A multiple of `views_per_scene` wastes nothing.
+    /// Images per shard. A multiple of `views_per_scene` wastes nothing.
     pub images_per_shard: usize,
-    /// Distinct objects in the set, at least 1.
+    /// Distinct objects in the set.
     pub objects: usize,
-    /// Objects that the scenes of one shard draw from, at least 1. Few objects per shard show each of them in many images.
+    /// Objects that the scenes of one shard draw from. Few objects per shard show each of them in many images.
     pub objects_per_shard: usize,
-    /// Image width, 16 to 8192 pixels.
+    /// Image width, pixels.
     pub width: u32,
-    /// Image height, 16 to 8192 pixels.
+    /// Image height, pixels.
     pub height: u32,
-    /// Colour samples per pixel in each direction, 1 to 8.
+    /// Colour samples per pixel in each direction.
     pub supersampling: u32,
-    /// Rays per pixel that gather light from other surfaces, at most 1024: better shading at several times the cost. 0: the
+    /// Rays per pixel that gather light from other surfaces: better shading at several times the cost. 0: the
     /// sky's light with soft shadows.
     pub indirect_rays: u32,
-    /// Images of one scene from different viewpoints, at least 1.
+    /// Images of one scene from different viewpoints.
     pub views_per_scene: usize,
-    /// Fewest and most annotated objects dropped in a scene, at least 1.
+    /// Fewest and most annotated objects dropped in a scene.
     pub objects_per_scene: [usize; 2],
     /// Fewest and most further objects in a scene, which are not annotated. 0 and 0: none.
     pub distractors: [usize; 2],
-    /// Share of scenes in an open bin, 0 to 1. Scenes neither in a bin nor on a shelf are on a table.
+    /// Share of scenes in an open bin. Scenes neither in a bin nor on a shelf are on a table.
     pub bins: f32,
-    /// Share of scenes on a shelf, 0 to 1. `bins` and `shelves` together are at most 1.
+    /// Share of scenes on a shelf.
     pub shelves: f32,
     /// Folder with pictures (jpg, png; searched recursively) for walls, floors and tables. Empty: procedural pictures.
     pub background_folder: PathBuf,
-    /// Smallest and largest diameter of procedural objects, metres above 0. Drawn log-uniformly.
+    /// Smallest and largest diameter of procedural objects, metres. Drawn log-uniformly.
     pub diameter: [f32; 2],
-    /// Side of an object's texture map, 32 to 8192 pixels.
+    /// Side of an object's texture map, pixels.
     pub texture_size: u32,
-    /// Share of procedural objects of plain colour, 0 to 1.
+    /// Share of procedural objects of plain colour.
     pub textureless: f32,
-    /// Share of scenes that are frozen while the objects still tumble, 0 to 1.
+    /// Share of scenes that are frozen while the objects still tumble.
     pub tumbling: f32,
     /// Folder with meshes (ply, obj, stl, glb; searched recursively) to use besides the procedural objects. Empty: none.
     pub mesh_folder: PathBuf,
     /// Which files of `mesh_folder` are objects.
     pub mesh_layout: MeshLayout,
-    /// Unit of the meshes in `mesh_folder`, metres above 0: 0.001 for millimetres.
+    /// Unit of the meshes in `mesh_folder`, metres: 0.001 for millimetres.
     pub mesh_scale: f32,
     /// How large the objects from `mesh_folder` are.
     pub mesh_size: MeshSize,
-    /// Share of objects taken from `mesh_folder` where one is given, 0 to 1.
+    /// Share of objects taken from `mesh_folder` where one is given.
     pub mesh_share: f32,
     /// Write the object meshes and `models_info.json` beside the shards.
     pub write_models: bool,
@@ -98,9 +98,9 @@ pub enum MeshSize {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SynthCameraConfig {
-    /// Smallest and largest distance to the pile of objects, metres above 0. Drawn log-uniformly.
+    /// Smallest and largest distance to the pile of objects, metres. Drawn log-uniformly.
     pub distance: [f32; 2],
-    /// Lowest and highest elevation above the table, degrees from 0 to 90. Bins are seen from steeper angles, shelves from
+    /// Lowest and highest elevation above the table, degrees. Bins are seen from steeper angles, shelves from
     /// flatter ones.
     pub elevation_deg: [f32; 2],
     /// Standard deviation of the roll, degrees. A tenth of the views have any roll.
@@ -117,17 +117,17 @@ pub struct SynthCameraConfig {
 pub struct SensorConfig {
     /// Simulate the cameras' errors. Without them depth and colour are free of noise.
     pub enabled: bool,
-    /// Share of scenes seen by a stereo depth camera, 0 to 1. Scenes seen neither by stereo nor by time of flight are seen by
+    /// Share of scenes seen by a stereo depth camera. Scenes seen neither by stereo nor by time of flight are seen by
     /// a structured-light camera.
     pub stereo: f32,
-    /// Share of scenes seen by a time-of-flight depth camera, 0 to 1. `stereo` and `time_of_flight` together are at most 1.
+    /// Share of scenes seen by a time-of-flight depth camera.
     pub time_of_flight: f32,
     /// Smallest and largest baseline of the depth camera, metres. Depth noise is disparity noise times depth squared over
     /// focal length and baseline.
     pub baseline: [f32; 2],
     /// Standard deviations of the disparity noise at correlation lengths of 2, 5 and 30 pixels, pixels.
     pub disparity_noise: [f32; 3],
-    /// Smallest and largest factor on the depth noise, above 0. Drawn log-uniformly per scene.
+    /// Smallest and largest factor on the depth noise. Drawn log-uniformly per scene.
     pub noise_gain: [f32; 2],
     /// Disparity steps per pixel. 0: disparity is not quantised.
     pub disparity_steps: f32,
@@ -138,17 +138,17 @@ pub struct SensorConfig {
     pub tof_offset: f32,
     /// Standard deviation of the displacement of depth edges, pixels.
     pub edge_jitter: f32,
-    /// Share of pixels lost beside depth edges, 0 to 1.
+    /// Share of pixels lost beside depth edges.
     pub edge_loss: f32,
-    /// Cosine between normal and viewing ray below which pixels are lost, increasingly towards grazing angles, 0 to 1.
+    /// Cosine between normal and viewing ray below which pixels are lost, increasingly towards grazing angles.
     pub grazing_cos: f32,
-    /// Share of pixels lost on very dark surfaces, 0 to 1.
+    /// Share of pixels lost on very dark surfaces.
     pub dark_loss: f32,
-    /// Share of pixels lost in highlights, 0 to 1.
+    /// Share of pixels lost in highlights.
     pub shiny_loss: f32,
-    /// Share of pixels lost anywhere, 0 to 1.
+    /// Share of pixels lost anywhere.
     pub speckle_loss: f32,
-    /// Share of edge pixels with a depth between foreground and background, 0 to 1.
+    /// Share of edge pixels with a depth between foreground and background.
     pub flying: f32,
     /// Nearest and farthest depth, metres.
     pub range: [f32; 2],
@@ -160,12 +160,12 @@ pub struct SensorConfig {
     pub blur: f32,
     /// Lowest and highest mean brightness of an image after exposure, sRGB values from 0 to 1.
     pub brightness: [f32; 2],
-    /// Largest relative change of the red and blue gains, 0 to 1.
+    /// Largest relative change of the red and blue gains.
     pub white_balance: f32,
-    /// Largest relative change of gamma, contrast and saturation, 0 to 1. In 30 % of the images contrast
+    /// Largest relative change of gamma, contrast and saturation. In 30 % of the images contrast
     /// and saturation exceed it.
     pub tone: f32,
-    /// Lowest and highest JPEG quality, 1 to 100.
+    /// Lowest and highest JPEG quality.
     pub jpeg_quality: [u8; 2],
 }
 

@@ -39,6 +39,14 @@ impl RgbdFrame {
         measured.filter(|(.., z)| z.is_finite() && *z > 0.0)
     }
 
+    /// Median depth of a mask's measured pixels, metres; `None` where fewer than `least` are measured.
+    pub fn median_depth(&self, mask: &Mask, least: usize) -> Option<f64> {
+        let mut depths: Vec<f32> = self.measured_pixels(mask).map(|(.., z)| z).collect();
+        let middle = depths.len() / 2;
+        (depths.len() >= least.max(1))
+            .then(|| f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1))
+    }
+
     /// All measured points of a mask, metres, camera frame, row by row.
     pub fn masked_points(&self, mask: &Mask) -> Vec<[f32; 3]> {
         let point = |(col, row, depth): (u32, u32, f32)| {

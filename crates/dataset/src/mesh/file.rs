@@ -2,13 +2,14 @@
 
 use std::{borrow::Cow, path::Path};
 
+use unopose_core::files;
+
+/// Largest mesh, material library or texture, bytes.
+const LIMIT: u64 = 4 << 30;
+
 /// The content of a regular file; the reason when it cannot be had.
 pub(super) fn read_regular(path: &Path) -> Result<Vec<u8>, String> {
-    let metadata = std::fs::metadata(path).map_err(|e| e.to_string())?;
-    if !metadata.is_file() {
-        return Err("not a regular file".to_owned());
-    }
-    std::fs::read(path).map_err(|e| e.to_string())
+    files::read_regular(path, LIMIT).map_err(|e| e.to_string())
 }
 
 /// A line as UTF-8, otherwise as Latin-1: names in old files stay different from each other.

@@ -36,6 +36,8 @@ pub(super) struct ImageUnderCheck<'a> {
     /// Whole silhouettes; empty where the set has none.
     pub masks: Vec<Mask>,
     pub visible: Vec<Mask>,
+    /// Instances that training skips; only their poses are looked at.
+    pub skipped: Vec<usize>,
 }
 
 impl ImageUnderCheck<'_> {
@@ -108,9 +110,16 @@ impl ImageUnderCheck<'_> {
             Ok(pose) => pose,
             Err(error) => return vec![error.to_string()],
         };
-        let mut wrong = counts(info, self.masks.get(i), visible, &self.frame.depth);
+        let is_skipped = self.skipped.contains(&i);
+        let mut wrong = match is_skipped {
+            true => Vec::new(),
+            false => counts(info, self.masks.get(i), visible, &self.frame.depth),
+        };
         if let Some(problem) = units::distance_problem(pose.translation.norm()) {
             wrong.push(problem);
+            return wrong;
+        }
+        if is_skipped {
             return wrong;
         }
         statistics.distance.add(pose.translation.z);
@@ -136,18 +145,10 @@ impl ImageUnderCheck<'_> {
 
     /// Without a model: the measured points of an object lie around its origin.
     fn depth_near(&self, visible: &Mask, pose: &Pose, diameter: f64) -> Option<String> {
-        let mut z: Vec<f32> = measured(visible, &self.frame.depth).map(|(_, z)| z).collect();
-        if z.len() < FEWEST_PIXELS {
-            return None;
-        }
-        let middle = z.len() / 2;
-        let median = f64::from(*z.select_nth_unstable_by(middle, f32::total_cmp).1);
-        let limit = diameter + DEPTH_MISFIT[0] + DEPTH_MISFIT[1] * median * median;
-        ((median - pose.translation.z).abs() > limit).then(|| {
-            format!(
-                "median depth in the mask is {median:.3} m, but the pose puts the object at {:.3} m",
-                pose.translation.z
-            )
+        let median = self.frame.median_depth(visible, FEWEST_PIXELS)?;
+        let z = pose.translation.z;
+        ((median - z).abs() > diameter + depth_misfit(z)).then(|| {
+            format!("median depth in the mask is {median:.3} m, but the pose puts the object at {z:.3} m")
         })
     }
 
@@ -180,7 +181,7 @@ impl ImageUnderCheck<'_> {
             }
             let middle = errors.len() / 2;
             let (error, z) = *errors.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0)).1;
-            if error > DEPTH_MISFIT[0] + DEPTH_MISFIT[1] * z * z {
+            if error > depth_misfit(z) {
                 wrong.push(format!(
                     "depth and posed model differ by {:.1} mm (median over {} pixels)",
                     error * 1000.0,
@@ -191,15 +192,21 @@ impl ImageUnderCheck<'_> {
         wrong
     }
 
-    /// |measured - drawn| and measured depth at visible pixels.
+    /// |measured - drawn| and drawn depth at visible pixels.
     fn depth_errors(&self, visible: &Mask, drawn: &DepthWindow) -> Vec<(f64, f64)> {
         measured(visible, &self.frame.depth)
             .filter_map(|(at, z)| {
                 let model = drawn.get(at as u32 % visible.width, at as u32 / visible.width);
-                (model > 0.0).then(|| (f64::from((z - model).abs()), f64::from(z)))
+                (model > 0.0).then(|| (f64::from((z - model).abs()), f64::from(model)))
             })
             .collect()
     }
+}
+
+/// Largest [`DEPTH_MISFIT`] of an object at depth `z`, which is the pose's: a measured depth in the wrong unit would allow
+/// its own error.
+fn depth_misfit(z: f64) -> f64 {
+    DEPTH_MISFIT[0] + DEPTH_MISFIT[1] * z * z
 }
 
 /// Pixel numbers and depths of a mask's measured pixels.

@@ -41,6 +41,10 @@ pub struct PartReport {
     pub findings: Vec<Finding>,
     /// Findings in all, those beyond the first 100 included.
     pub finding_count: usize,
+    /// Inverted visible masks in the decoded images of a shard; readers mend them.
+    pub mended_masks: usize,
+    /// Instances in the decoded images of a shard that readers skip.
+    pub skipped_instances: usize,
     /// Distributions over the decoded images.
     pub statistics: Statistics,
 }
@@ -79,6 +83,16 @@ impl CheckReport {
     /// The findings that were kept, those of the whole set first.
     pub fn findings(&self) -> impl Iterator<Item = &Finding> {
         self.set.findings.iter().chain(self.parts.iter().flat_map(|p| &p.findings))
+    }
+
+    /// Inverted visible masks that readers mend, in all parts.
+    pub fn mended_masks(&self) -> usize {
+        self.parts.iter().map(|p| p.mended_masks).sum()
+    }
+
+    /// Instances that readers skip, in all parts.
+    pub fn skipped_instances(&self) -> usize {
+        self.parts.iter().map(|p| p.skipped_instances).sum()
     }
 
     /// Images in all parts, decoded or not.

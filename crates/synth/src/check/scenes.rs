@@ -104,7 +104,7 @@ fn check_image(
         false => Vec::new(),
     };
     let place = format!("{name}: image {im_id}");
-    let image = ImageUnderCheck { place, frame: &frame, gt, info, masks, visible };
+    let image = ImageUnderCheck { place, frame: &frame, gt, info, masks, visible, skipped: Vec::new() };
     Ok((gt.len(), image.check(models, statistics)))
 }
 

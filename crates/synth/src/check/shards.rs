@@ -6,8 +6,11 @@ use std::{
 };
 
 use rayon::prelude::*;
-use unopose_core::{config::SynthConfig, frame::Mask};
-use unopose_dataset::formats::{FormatError, megapose::ShardFile, rle::Rle};
+use unopose_core::config::SynthConfig;
+use unopose_dataset::formats::{
+    FormatError,
+    megapose::{InstanceFault, ShardFile},
+};
 
 use super::{
     image::ImageUnderCheck,
@@ -77,8 +80,13 @@ fn check_shard(
         if let Some((instances, findings, statistics)) = checked {
             part.add(findings);
             match instances {
-                Ok(count) => {
+                Ok((count, faults)) => {
                     image.instances = Some(count);
+                    let mended = faults.iter().filter(|(_, fault)| fault.is_mended()).count();
+                    part.mended_masks += mended;
+                    part.skipped_instances += faults.len() - mended;
+                    let place = |i| format!("{}: {key}, instance {i}", path.display());
+                    part.add(faults.iter().map(|(i, fault)| Finding::new(place(*i), fault)));
                     part.decoded += 1;
                     part.instances += count;
                 }
@@ -95,49 +103,42 @@ fn check_shard(
     part
 }
 
-/// Instances of an image, or why it has none; what is wrong with it; its distributions.
-type CheckedKey = (Result<usize, FormatError>, Vec<Finding>, Statistics);
+/// Instances of an image and those that training mends or skips, or why it has none; what else is wrong with it; its
+/// distributions.
+type CheckedKey = (Result<(usize, Vec<(usize, InstanceFault)>), FormatError>, Vec<Finding>, Statistics);
 
 fn check_key(shard: &ShardFile, path: &Path, key: &str, models: &Models) -> CheckedKey {
     let (mut statistics, place) = (Statistics::default(), format!("{}: {key}", path.display()));
-    let read = shard.read(key).and_then(|(annotated, records)| {
-        let frame = annotated.frame;
-        let decode = |rle: &Rle| -> Result<Mask, FormatError> {
-            let mask = rle.decode()?;
-            if (mask.width, mask.height) == (frame.width(), frame.height()) {
-                return Ok(mask);
-            }
-            let size = format!("{} x {}", mask.width, mask.height);
-            Err(FormatError::field("mask", "size", size, "that of the image"))
-        };
-        let masks =
-            records.mask.iter().map(decode).collect::<Result<Vec<_>, _>>().map_err(|e| e.within(&place))?;
-        let visible = annotated.instances.into_iter().map(|i| i.mask_visib).collect();
-        let image = ImageUnderCheck {
-            place: place.clone(),
-            frame: &frame,
-            gt: &records.gt,
-            info: &records.gt_info,
-            masks,
-            visible,
-        };
-        Ok((records.gt.len(), image.check(models, &mut statistics)))
-    });
-    match read {
-        Ok((count, findings)) => (Ok(count), findings, statistics),
+    match shard.read(key, &models.infos) {
+        Ok(image) => {
+            let mut under_check = ImageUnderCheck {
+                place,
+                frame: &image.annotated.frame,
+                gt: &image.records.gt,
+                info: &image.records.gt_info,
+                masks: image.masks,
+                visible: image.annotated.instances.into_iter().map(|i| i.mask_visib).collect(),
+                skipped: Vec::new(),
+            };
+            let skipped = image.faults.iter().filter(|(_, fault)| !fault.is_mended());
+            under_check.skipped = skipped.map(|(i, _)| *i).collect();
+            let findings = under_check.check(models, &mut statistics);
+            (Ok((image.records.gt.len(), image.faults)), findings, statistics)
+        }
         Err(error) => (Err(error), Vec::new(), statistics),
     }
 }
 
 /// Shards that the configuration asks for, or gaps in the numbering.
 fn missing_shards(folder: &Path, numbers: &BTreeSet<u32>, config: Option<&SynthConfig>) -> Option<Finding> {
-    let last = numbers.last().copied().unwrap_or_default();
-    let expected = config.map_or(last + 1, |c| c.images.div_ceil(c.images_per_shard.max(1)) as u32);
-    let missing: Vec<u32> = (0..expected).filter(|n| !numbers.contains(n)).collect();
-    let first: Vec<String> = missing.iter().take(5).map(u32::to_string).collect();
-    (!missing.is_empty()).then(|| {
-        let list = first.join(", ");
-        Finding::new(folder.display(), format!("{} of {expected} shards missing: {list} ...", missing.len()))
+    let after_last = numbers.last().map_or(0, |last| u64::from(*last) + 1);
+    let expected = config.map_or(after_last, |c| c.images.div_ceil(c.images_per_shard.max(1)) as u64);
+    let there = numbers.iter().filter(|n| u64::from(**n) < expected).count() as u64;
+    let is_missing = |n: &u64| u32::try_from(*n).map_or(true, |n| !numbers.contains(&n));
+    let first: Vec<String> = (0..expected).filter(is_missing).take(5).map(|n| n.to_string()).collect();
+    (!first.is_empty()).then(|| {
+        let (missing, list) = (expected - there, first.join(", "));
+        Finding::new(folder.display(), format!("{missing} of {expected} shards missing: {list} ..."))
     })
 }
 

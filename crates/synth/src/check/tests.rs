@@ -3,6 +3,7 @@ use std::path::Path;
 use unopose_core::{config::SynthConfig, frame::DepthMap};
 use unopose_dataset::formats::{
     megapose::{EncodedImage, ImageRecords, ShardDataset, ShardWriter, shard_file_name},
+    rle::Rle,
     targets::{read_reference_targets, write_targets},
 };
 
@@ -77,6 +78,14 @@ fn damage_in_shards_is_found_and_named() {
     found("focal lengths are", &|_, _, _, r| r.camera.cam_k[0] *= 100.0);
     found("no pixel has a depth", &|_, _, d, _| d.data.fill(0.0));
 
+    // Depth a thousand times too far does not allow itself an error that grows with it.
+    found("median depth in the mask is", &|_, _, d, r| {
+        r.camera.depth_scale = Some(100.0);
+        d.data.iter_mut().for_each(|z| *z *= 1000.0);
+    });
+    found("depth_scale is 1000000", &|_, _, _, r| r.camera.depth_scale = Some(1e308));
+    found("mask size is 31623 x 31623", &|_, _, _, r| r.mask_visib[0].size = [31_623; 2]);
+
     let shard = broken.path().join("train_pbr_web").join(shard_file_name(1));
     std::fs::write(&shard, vec![0; 1024]).unwrap();
     let all = findings(broken.path());
@@ -91,6 +100,46 @@ fn damage_in_shards_is_found_and_named() {
 }
 
 #[test]
+fn inverted_masks_are_counted_and_everything_else_still_checked() {
+    let [whole, broken] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    for folder in [&whole, &broken] {
+        generate(&config(), folder.path(), &|_| {}).unwrap();
+    }
+    let invert = |rle: &mut Rle| {
+        let mut mask = rle.decode().unwrap();
+        mask.data.iter_mut().for_each(|set| *set = !*set);
+        *rle = Rle::encode(&mask);
+    };
+    rewrite(whole.path(), broken.path(), |_, _, _, r| {
+        r.mask.iter_mut().chain(&mut r.mask_visib).for_each(invert);
+    });
+    let report = check_dataset(broken.path(), 1, &|_, _| {}).unwrap();
+    let instances = report.parts[1].instances;
+    assert!(instances >= 2);
+    assert_eq!((report.mended_masks(), report.skipped_instances()), (instances, 0));
+    let others: Vec<_> = report.findings().filter(|f| !f.what.contains("visible mask is inverted")).collect();
+    assert!(others.is_empty(), "{others:?}");
+    // Neither mask nor complement has the recorded pixels: nothing is known of these instances but their poses.
+    rewrite(whole.path(), broken.path(), |_, _, _, r| {
+        r.mask_visib.iter_mut().for_each(invert);
+        r.gt_info.iter_mut().for_each(|info| info.px_count_visib = 5000);
+    });
+    let report = check_dataset(broken.path(), 1, &|_, _| {}).unwrap();
+    assert_eq!((report.mended_masks(), report.skipped_instances()), (0, instances));
+}
+
+#[test]
+fn a_shard_of_the_largest_number_is_no_set_of_four_billion() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("shard-4294967295.tar"), vec![0; 1024]).unwrap();
+    let all = findings(folder.path());
+    assert!(
+        all.iter().any(|f| f.contains("4294967295 of 4294967296 shards missing: 0, 1, 2, 3, 4 ...")),
+        "{all:#?}"
+    );
+}
+
+#[test]
 fn damage_in_scenes_and_lists_is_found_and_named() {
     let folder = tempfile::tempdir().unwrap();
     generate_bop(&SynthConfig { images: 12, ..config() }, folder.path(), &|_| {}).unwrap();
@@ -101,9 +150,19 @@ fn damage_in_scenes_and_lists_is_found_and_named() {
     write_targets(&list, &references).unwrap();
     let scene = folder.path().join("test/000002");
     std::fs::remove_file(scene.join("mask_visib/000001_000000.png")).unwrap();
+    let cameras = folder.path().join("test/000001/scene_camera.json");
+    let text = std::fs::read_to_string(&cameras).unwrap();
+    let thousandfold = text.replace("\"depth_scale\":0.1", "\"depth_scale\":100.0");
+    assert_ne!(thousandfold, text);
+    std::fs::write(&cameras, thousandfold).unwrap();
     std::fs::copy(scene.join("rgb/000000.png"), scene.join("rgb/000007.png")).unwrap();
     let all = findings(folder.path());
-    for part in ["1 references are not annotated", "mask_visib/000001_000000.png", "1 pictures are not in"] {
+    for part in [
+        "1 references are not annotated",
+        "mask_visib/000001_000000.png",
+        "1 pictures are not in",
+        "depth and posed model differ by ",
+    ] {
         assert!(all.iter().any(|f| f.contains(part)), "{part:?} not in {all:#?}");
     }
     let empty = tempfile::tempdir().unwrap();

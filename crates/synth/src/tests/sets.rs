@@ -42,6 +42,8 @@ fn same_bytes_with_any_threads_and_after_an_interruption() {
     run(3, &|| {
         // Shard 1 exists, shard 0 and 2 do not: what a killed run of several machines leaves.
         generate_shards(&config, b.path(), 1..2, &|_| {}).unwrap();
+        let error = generate_shards(&config, b.path(), 0..u32::MAX, &|_| {}).unwrap_err().to_string();
+        assert!(error.contains("shards 0..4294967295 of a set of 3, expected 0..3"), "{error}");
         let summary = generate(&config, b.path(), &|_| {}).unwrap();
         assert_eq!((summary.shards_written, summary.shards_kept, summary.images_written), (2, 1, 6));
     });

@@ -61,7 +61,9 @@ impl Archive {
         for entry in entries {
             let file = entry.map_err(|e| FormatError::io(&self.path, e))?.path();
             let name = file.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_owned();
-            self.add(&name, Place::File(file));
+            if file.is_file() {
+                self.add(&name, Place::File(file));
+            }
         }
         Ok(())
     }
@@ -76,12 +78,17 @@ impl Archive {
             let part = entry.and_then(|entry| {
                 let path = entry.path()?.into_owned();
                 let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_owned();
-                Ok((name, entry.raw_file_position(), entry.size()))
+                let is_file = entry.header().entry_type().is_file();
+                Ok((name, is_file, entry.raw_file_position(), entry.size()))
             });
             match part {
-                Ok((name, offset, size)) if offset + size <= length => found.push((name, offset, size)),
-                Ok((name, offset, size)) => {
-                    let (path, end) = (self.path.display(), offset + size);
+                Ok((name, is_file, offset, size)) if size <= length.saturating_sub(offset) => {
+                    if is_file {
+                        found.push((name, offset, size));
+                    }
+                }
+                Ok((name, _, offset, size)) => {
+                    let (path, end) = (self.path.display(), offset.saturating_add(size));
                     self.problems.push(format!("{path}: truncated: {name} ends at byte {end} of {length}"));
                     break;
                 }
@@ -105,8 +112,11 @@ impl Archive {
     }
 
     fn add(&mut self, name: &str, place: Place) {
-        if let Some((key, kind)) = MemberKind::split(name) {
-            self.images.entry(key.to_owned()).or_default().0.insert(kind, place);
+        let Some((key, kind)) = MemberKind::split(name) else { return };
+        if self.images.entry(key.to_owned()).or_default().0.insert(kind, place).is_some() {
+            let path = self.path.display();
+            self.problems
+                .push(format!("{path}: {key}.{} is there twice, the last one is read", kind.extension()));
         }
     }
 

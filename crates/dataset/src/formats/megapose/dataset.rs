@@ -1,7 +1,7 @@
 //! Reading: index of all instances, random access to images.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, HashMap, HashSet},
     path::{Path, PathBuf},
 };
 
@@ -9,15 +9,16 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        AnnotatedFrame, FormatError, ObjectSymmetries,
+        AnnotatedFrame, FormatError, ModelInfo, ObjectSymmetries,
         bop::{GtInfoRecord, GtRecord},
         models::read_models_info,
     },
     archive::Archive,
+    fault_log::{FaultCounts, FaultLog},
     index_files::IndexFiles,
-    instance::{InstanceRef, instance_refs},
+    instance::{InstanceRef, PLAUSIBLE_DISTANCE, instance_refs},
     records::{ImageRecords, MemberKind, from_json},
-    shard_image::{ShardImage, check_counts},
+    shard_image::{ShardImage, check_camera, check_instances},
 };
 
 /// A folder of shards.
@@ -30,10 +31,14 @@ pub struct ShardDataset {
     shard_of: Vec<u32>,
     instances: Vec<InstanceRef>,
     references: HashMap<u32, Vec<usize>>,
-    symmetries: BTreeMap<u32, ObjectSymmetries>,
+    models: BTreeMap<u32, ModelInfo>,
     no_symmetries: ObjectSymmetries,
     problems: Vec<String>,
+    faults: FaultLog,
 }
+
+/// Problems of a set that are logged one by one.
+const LOGGED_PROBLEMS: usize = 5;
 
 type ImageInstances = (String, Vec<InstanceRef>);
 
@@ -50,20 +55,27 @@ impl ShardDataset {
         let scanned: Vec<(u32, Archive, Vec<ImageInstances>, Vec<String>)> =
             shard_paths(&folder).into_par_iter().map(|(number, path)| scan_shard(number, &path)).collect();
         let mut dataset = Self {
+            faults: FaultLog::new(folder.clone()),
             folder,
             shards: Vec::new(),
             keys: Vec::new(),
             shard_of: Vec::new(),
             instances: Vec::new(),
             references: HashMap::new(),
-            symmetries: BTreeMap::new(),
+            models: BTreeMap::new(),
             no_symmetries: ObjectSymmetries::default(),
             problems: Vec::new(),
         };
+        let mut keys = HashSet::new();
         for (number, archive, images, problems) in scanned {
             dataset.problems.extend(problems);
             for (key, instances) in images {
-                dataset.add_image(key, instances, &index_files);
+                if keys.insert(key.clone()) {
+                    dataset.add_image(key, instances, &index_files);
+                } else {
+                    let path = archive.path.display();
+                    dataset.problems.push(format!("{path}: {key} is in another shard, too, image skipped"));
+                }
             }
             dataset.shards.push((number, archive));
         }
@@ -71,14 +83,17 @@ impl ShardDataset {
             let first = dataset.problems.first().cloned().unwrap_or_default();
             return Err(FormatError::missing(dir.display(), "usable images", first));
         }
-        for problem in &dataset.problems {
+        dataset.problems.extend(index_files.dangling(&keys));
+        for problem in dataset.problems.iter().take(LOGGED_PROBLEMS) {
             tracing::warn!("{problem}");
+        }
+        if let Some(more) = dataset.problems.len().checked_sub(LOGGED_PROBLEMS).filter(|more| *more > 0) {
+            tracing::warn!("{}: {more} more problems of this kind", dataset.folder.display());
         }
         let info = [&parent, &dataset.folder]
             .map(|f| [f.join("models/models_info.json"), f.join("models_info.json")]);
         if let Some(file) = info.iter().flatten().find(|f| f.is_file()) {
-            dataset.symmetries =
-                read_models_info(file)?.into_iter().map(|(id, m)| (id, m.symmetries)).collect();
+            dataset.models = read_models_info(file)?;
         }
         Ok(dataset)
     }
@@ -121,21 +136,34 @@ impl ShardDataset {
 
     /// Symmetries from `models_info.json`; none for an unknown object.
     pub fn symmetries(&self, obj_id: u32) -> &ObjectSymmetries {
-        self.symmetries.get(&obj_id).unwrap_or(&self.no_symmetries)
+        self.models.get(&obj_id).map_or(&self.no_symmetries, |model| &model.symmetries)
     }
 
-    /// What was skipped and why.
+    /// What was skipped when the folder was opened, and why.
     pub fn problems(&self) -> &[String] {
         &self.problems
+    }
+
+    /// What was mended or skipped in the images that were loaded so far.
+    pub fn faults(&self) -> FaultCounts {
+        self.faults.counts()
     }
 
     pub(super) fn keys_and_shards(&self) -> impl Iterator<Item = (&str, u32)> {
         self.keys.iter().zip(&self.shard_of).map(|(key, &s)| (key.as_str(), self.shards[s as usize].0))
     }
 
-    /// Reads and decodes an image with all its instances (valid or not, in the order of `gt.json`).
+    /// Reads and decodes an image with all its instances (valid or not, in the order of `gt.json`). Inverted masks are
+    /// mended; an instance whose mask or depth cannot be its own gets an empty mask.
     pub fn load(&self, image: u32) -> Result<AnnotatedFrame, FormatError> {
-        self.read(image)?.annotated()
+        let read = self.read(image)?;
+        let name = read.name.clone();
+        let (annotated, faults) =
+            read.annotated(&self.models).inspect_err(|error| self.faults.unreadable(image, error))?;
+        for (instance, fault) in &faults {
+            self.faults.instance(image, &name, *instance, fault);
+        }
+        Ok(annotated)
     }
 
     /// The JSON members of an image, as they are.
@@ -150,6 +178,7 @@ impl ShardDataset {
             return Err(FormatError::field(self.folder.display(), "image number", image, expected));
         };
         ShardImage::read(&self.shards[shard as usize].1, key)
+            .inspect_err(|error| self.faults.unreadable(image, error))
     }
 }
 
@@ -177,22 +206,37 @@ fn scan_shard(number: u32, path: &Path) -> (u32, Archive, Vec<ImageInstances>, V
         Err(error) => return (number, empty, Vec::new(), vec![error.to_string()]),
     };
     let mut problems = std::mem::take(&mut archive.problems);
-    let mut images = Vec::new();
+    let (mut images, mut far) = (Vec::new(), 0);
     match archive.reader() {
         Ok(mut reader) => {
             for key in archive.images.keys() {
                 let mut member = |kind| reader.read(key, kind);
-                let parsed = member(MemberKind::Gt).and_then(|(gt, gt_place)| {
+                let parsed = member(MemberKind::Camera).and_then(|(camera, camera_place)| {
+                    check_camera(&from_json(&camera, &camera_place)?, &camera_place)?;
+                    let (gt, gt_place) = member(MemberKind::Gt)?;
                     let (info, info_place) = member(MemberKind::GtInfo)?;
                     let gt: Vec<GtRecord> = from_json(&gt, &gt_place)?;
                     let info: Vec<GtInfoRecord> = from_json(&info, &info_place)?;
-                    check_counts(gt.len(), info.len(), &info_place)?;
+                    check_instances(&gt, &info, &info_place)?;
                     Ok((gt, info))
                 });
                 match parsed {
-                    Ok((gt, info)) => images.push((key.clone(), instance_refs(&gt, &info))),
+                    Ok((gt, info)) => {
+                        let (instances, left_out) = instance_refs(&gt, &info);
+                        far += left_out;
+                        images.push((key.clone(), instances));
+                    }
                     Err(error) => problems.push(format!("{error}, image skipped")),
                 }
+            }
+            if far > 0 {
+                let path = path.display();
+                problems.push(format!(
+                    "{path}: {far} visible instances skipped: cam_t_m2c puts them nearer than {} m or farther than {} m; \
+                     millimetres are expected",
+                    PLAUSIBLE_DISTANCE.start(),
+                    PLAUSIBLE_DISTANCE.end()
+                ));
             }
         }
         Err(error) => problems.push(error.to_string()),

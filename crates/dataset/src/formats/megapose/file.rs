@@ -1,14 +1,34 @@
 //! A shard by itself, with what is wrong with it: for looking into a set instead of training on it.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use unopose_core::frame::Mask;
 
 use super::{
-    super::{AnnotatedFrame, FormatError},
+    super::{AnnotatedFrame, FormatError, ModelInfo},
     archive::Archive,
     dataset::shard_paths,
+    instance_fault::{InstanceFault, invert},
     records::ImageRecords,
-    shard_image::ShardImage,
+    shard_image::{ShardImage, decode_mask},
 };
+
+/// An image of a shard with what is wrong with its instances.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct ShardFileImage {
+    /// The image as training gets it: visible masks are mended or empty where they have a fault.
+    pub annotated: AnnotatedFrame,
+    /// The JSON members as they are.
+    pub records: ImageRecords,
+    /// Whole silhouettes, those of inverted visible masks mended like them; empty when the shard has none.
+    pub masks: Vec<Mask>,
+    /// Faulty instances by number.
+    pub faults: Vec<(usize, InstanceFault)>,
+}
 
 /// One shard, packed or unpacked.
 #[derive(Debug)]
@@ -41,10 +61,22 @@ impl ShardFile {
         &self.archive.problems
     }
 
-    /// An image with its JSON members as they are.
-    pub fn read(&self, key: &str) -> Result<(AnnotatedFrame, ImageRecords), FormatError> {
+    /// An image with everything that the shard says about it; `models` are the objects whose size is known.
+    pub fn read(&self, key: &str, models: &BTreeMap<u32, ModelInfo>) -> Result<ShardFileImage, FormatError> {
         let image = ShardImage::read(&self.archive, key)?;
-        let records = image.records.clone();
-        Ok((image.annotated()?, records))
+        let (records, name) = (image.records.clone(), image.name.clone());
+        let (annotated, faults) = image.annotated(models)?;
+        let decoded = records.mask.iter().enumerate();
+        let decoded = decoded
+            .map(|(i, m)| decode_mask(m, &annotated.frame, &format!("{name}.mask.json: instance {i}")));
+        let mut masks = decoded.collect::<Result<Vec<_>, _>>()?;
+        for (i, _) in faults.iter().filter(|(_, fault)| fault.is_mended()) {
+            // Whole silhouettes come from the same writer as the visible ones.
+            let visible = &annotated.instances[*i].mask_visib;
+            if let Some(mask) = masks.get_mut(*i).filter(|m| m.iou(visible) == 0.0) {
+                invert(mask);
+            }
+        }
+        Ok(ShardFileImage { annotated, records, masks, faults })
     }
 }

@@ -62,6 +62,16 @@ impl IndexFiles {
         Ok(found)
     }
 
+    /// Says how many of the listed images are in no shard.
+    pub fn dangling(&self, keys: &HashSet<String>) -> Option<String> {
+        let references = self.references.iter().flatten().map(|(key, _)| key);
+        let listed: HashSet<&String> = self.valid.iter().flat_map(HashMap::keys).chain(references).collect();
+        let dangling = listed.iter().filter(|key| !keys.contains(**key)).count();
+        let total = listed.len();
+        (dangling > 0)
+            .then(|| format!("{dangling} of the {total} images in the index files are in no usable shard"))
+    }
+
     pub fn is_valid(&self, key: &str, instance: &InstanceRef) -> bool {
         match &self.valid {
             Some(valid) => valid.get(key).is_some_and(|ids| ids.contains(&instance.instance)),

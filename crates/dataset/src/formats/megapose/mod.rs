@@ -6,21 +6,27 @@
 
 mod archive;
 mod dataset;
+mod fault_log;
 mod file;
 mod index_files;
 mod instance;
+mod instance_fault;
 mod records;
 mod shard_image;
 mod write_index;
 mod writer;
 
 pub use dataset::ShardDataset;
-pub use file::ShardFile;
+pub use fault_log::FaultCounts;
+pub use file::{ShardFile, ShardFileImage};
 pub use index_files::ReferenceEntry;
-pub use instance::InstanceRef;
+pub use instance::{InstanceRef, PLAUSIBLE_DISTANCE};
+pub use instance_fault::InstanceFault;
 pub use records::ImageRecords;
 pub use write_index::write_index_files;
 pub use writer::{EncodedImage, ShardWriter, shard_file_name};
 
+#[cfg(test)]
+mod damage_tests;
 #[cfg(test)]
 mod tests;

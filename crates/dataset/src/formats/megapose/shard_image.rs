@@ -1,20 +1,25 @@
 //! One image of a shard, whole.
 
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 use image::RgbImage;
-use unopose_core::frame::RgbdFrame;
+use unopose_core::frame::{Mask, RgbdFrame};
 
 use super::{
     super::{
-        AnnotatedFrame, FormatError, Instance,
+        AnnotatedFrame, FormatError, Instance, ModelInfo,
         bop::{GtInfoRecord, GtRecord},
         camera::CameraRecord,
         image_io::{decode_depth, decode_rgb},
+        rle::Rle,
     },
     archive::Archive,
+    instance_fault::{InstanceFault, mend},
     records::{ImageRecords, MemberKind, from_json, masks_from_json},
 };
+
+/// Units of depth images, millimetres: micrometres to metres.
+const DEPTH_SCALE: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
 /// The members of an image, decoded but not compared with each other.
 #[derive(Debug)]
@@ -32,11 +37,12 @@ impl ShardImage {
         let mut member = |kind| reader.read(key, kind);
         let (bytes, place) = member(MemberKind::Camera)?;
         let camera: CameraRecord = from_json(&bytes, &place)?;
+        check_camera(&camera, &place)?;
         let (bytes, place) = member(MemberKind::Gt)?;
         let gt: Vec<GtRecord> = from_json(&bytes, &place)?;
         let (bytes, place) = member(MemberKind::GtInfo)?;
         let gt_info: Vec<GtInfoRecord> = from_json(&bytes, &place)?;
-        check_counts(gt.len(), gt_info.len(), &place)?;
+        check_instances(&gt, &gt_info, &place)?;
         let (bytes, place) = member(MemberKind::MaskVisib)?;
         let mask_visib = masks_from_json(&bytes, gt.len(), &place)?;
         // The whole silhouettes are not needed for training; sets without them are read, too.
@@ -51,8 +57,12 @@ impl ShardImage {
         Ok(Self { records, rgb, depth_png, name: format!("{}: {key}", archive.path.display()) })
     }
 
-    /// Colour, depth and all instances; images and masks have to agree in size.
-    pub fn annotated(self) -> Result<AnnotatedFrame, FormatError> {
+    /// Colour, depth and all instances; images and masks have to agree in size. What is wrong with single instances
+    /// comes with their numbers; `models` are the objects whose size is known.
+    pub fn annotated(
+        self,
+        models: &BTreeMap<u32, ModelInfo>,
+    ) -> Result<(AnnotatedFrame, Vec<(usize, InstanceFault)>), FormatError> {
         let Self { records, rgb, depth_png, name } = self;
         let camera = records.camera.check(&name)?;
         let scale = camera.require_depth_scale(Path::new(&format!("{name}.camera.json")))?;
@@ -67,12 +77,7 @@ impl ShardImage {
         let instance = |i: usize| -> Result<Instance, FormatError> {
             let (gt, info) = (&records.gt[i], &records.gt_info[i]);
             let place = format!("{name}.mask_visib.json: instance {i}");
-            let mask_visib = records.mask_visib[i].decode().map_err(|e| e.within(&place))?;
-            if (mask_visib.width, mask_visib.height) != (frame.width(), frame.height()) {
-                let value = format!("{} x {}", mask_visib.width, mask_visib.height);
-                let expected = format!("{} x {} as rgb.jpg", frame.width(), frame.height());
-                return Err(FormatError::field(place, "mask size", value, expected));
-            }
+            let mask_visib = decode_mask(&records.mask_visib[i], &frame, &place)?;
             Ok(Instance {
                 obj_id: gt.obj_id,
                 t_camera_object: gt.pose(&format!("{name}.gt.json: instance {i}"))?,
@@ -81,14 +86,50 @@ impl ShardImage {
                 mask_visib,
             })
         };
-        let instances = (0..records.gt.len()).map(instance).collect::<Result<_, _>>()?;
-        Ok(AnnotatedFrame { frame, instances })
+        let mut instances = (0..records.gt.len()).map(instance).collect::<Result<Vec<_>, _>>()?;
+        let faults = instances.iter_mut().enumerate();
+        let faults = faults.filter_map(|(i, instance)| {
+            let model = models.get(&instance.obj_id);
+            Some((i, mend(instance, &frame, model)?))
+        });
+        let faults = faults.collect();
+        Ok((AnnotatedFrame { frame, instances }, faults))
     }
 }
 
-pub(super) fn check_counts(gt: usize, gt_info: usize, place: &str) -> Result<(), FormatError> {
-    if gt == gt_info {
+/// A mask of the frame's size; one of another size is not decoded.
+pub(super) fn decode_mask(rle: &Rle, frame: &RgbdFrame, place: &str) -> Result<Mask, FormatError> {
+    let [height, width] = rle.size;
+    if (width, height) == (frame.width(), frame.height()) {
+        return rle.decode().map_err(|e| e.within(place));
+    }
+    let (value, expected) =
+        (format!("{width} x {height}"), format!("{} x {} as the image", frame.width(), frame.height()));
+    Err(FormatError::field(place, "mask size", value, expected))
+}
+
+/// Refuses a camera that no depth camera has.
+pub(super) fn check_camera(camera: &CameraRecord, place: &str) -> Result<(), FormatError> {
+    let scale = camera.check(place)?.require_depth_scale(Path::new(place))?;
+    if DEPTH_SCALE.contains(&scale) {
         return Ok(());
     }
-    Err(FormatError::field(place, "number of instances", gt_info, format!("{gt} as in gt.json")))
+    let expected = format!("{} to {} mm per unit", DEPTH_SCALE.start(), DEPTH_SCALE.end());
+    Err(FormatError::field(place, "depth_scale", scale, expected))
+}
+
+/// Refuses lists of different lengths and rotations that are none.
+pub(super) fn check_instances(
+    gt: &[GtRecord],
+    gt_info: &[GtInfoRecord],
+    place: &str,
+) -> Result<(), FormatError> {
+    if gt.len() != gt_info.len() {
+        let expected = format!("{} as in gt.json", gt.len());
+        return Err(FormatError::field(place, "number of instances", gt_info.len(), expected));
+    }
+    for (i, gt) in gt.iter().enumerate() {
+        gt.pose(&format!("{place}: instance {i}"))?;
+    }
+    Ok(())
 }

@@ -18,11 +18,16 @@ use crate::formats::{
 const EXAMPLE_STRUCTURE: &str = include_str!("example_structure.json");
 
 fn encoded(key: &str) -> EncodedImage {
-    encoded_of(key, 600)
+    encoded_with(key, |_, _| {})
 }
 
 /// An image whose one instance is recorded with this many visible pixels.
 fn encoded_of(key: &str, px_count_visib: u32) -> EncodedImage {
+    encoded_with(key, |records, _| records.gt_info[0].px_count_visib = px_count_visib)
+}
+
+/// An image with changes.
+pub(super) fn encoded_with(key: &str, change: impl Fn(&mut ImageRecords, &mut DepthMap)) -> EncodedImage {
     let (width, height) = (40, 30);
     let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 19.5, cy: 14.5 };
     let mut mask = Mask::empty(width, height);
@@ -33,10 +38,10 @@ fn encoded_of(key: &str, px_count_visib: u32) -> EncodedImage {
         bbox_visib: [0, 0, 39, 14],
         px_count_all: 640,
         px_count_valid: 600,
-        px_count_visib,
+        px_count_visib: 600,
         visib_fract: 600.0 / 640.0,
     };
-    let records = ImageRecords {
+    let mut records = ImageRecords {
         camera: CameraRecord {
             cam_r_w2c: Some(pose.rotation_row_major()),
             cam_t_w2c: Some([0.0, 0.0, 900.0]),
@@ -47,12 +52,13 @@ fn encoded_of(key: &str, px_count_visib: u32) -> EncodedImage {
         mask: vec![Rle::encode(&mask)],
         mask_visib: vec![Rle::encode(&mask)],
     };
-    let depth = DepthMap { width, height, data: vec![0.8123; 1200] };
+    let mut depth = DepthMap { width, height, data: vec![0.8123; 1200] };
+    change(&mut records, &mut depth);
     EncodedImage::new(key, &RgbImage::from_pixel(width, height, image::Rgb([90; 3])), 95, &depth, &records)
         .unwrap()
 }
 
-fn write_shard(folder: &std::path::Path, number: u32, images: usize) -> PathBuf {
+pub(super) fn write_shard(folder: &std::path::Path, number: u32, images: usize) -> PathBuf {
     let path = folder.join(shard_file_name(number));
     let mut writer = ShardWriter::default();
     (0..images).for_each(|i| writer.push(encoded(&format!("{number:06}_{i:06}"))));
