@@ -1,14 +1,14 @@
-//! Proposals of any other segmenter (FastSAM, ...) from a list in the COCO/BOP form.
+//! Proposals of any other segmenter (FastSAM, Segment Anything, ...) from a list of masks.
 
 use std::{
-    collections::BTreeMap,
+    collections::BTreeSet,
     path::{Path, PathBuf},
 };
 
 use unopose_core::frame::RgbdFrame;
 use unopose_dataset::formats::{
     FormatError,
-    detections::{Detection, read_detections},
+    detections::{ListedMask, MaskList},
 };
 
 use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
@@ -19,21 +19,18 @@ pub struct ListedProposals {
     path: PathBuf,
     /// CRC-32 of the file.
     checksum: u32,
-    images: BTreeMap<ImageKey, Vec<Detection>>,
+    masks: MaskList,
+    /// Whether the masks are those of more than one image.
+    several_images: bool,
 }
 
 impl ListedProposals {
     /// Reads the list and takes its checksum.
     pub fn read(path: &Path) -> Result<Self, SegmentError> {
-        let mut images: BTreeMap<ImageKey, Vec<Detection>> = BTreeMap::new();
-        for detection in read_detections(path)? {
-            images.entry((detection.scene_id, detection.image_id)).or_default().push(detection);
-        }
-        for list in images.values_mut() {
-            list.sort_by(|a, b| b.score.total_cmp(&a.score));
-        }
+        let masks = MaskList::read(path)?;
+        let images: BTreeSet<_> = masks.masks().map(|mask| mask.image()).collect();
         let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
-        Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), images })
+        Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), several_images: images.len() > 1, masks })
     }
 }
 
@@ -49,35 +46,12 @@ impl ProposalGenerator for ListedProposals {
 
     /// Without a key the file must be about one image.
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
-        let list = match image {
-            Some(key) => self.images.get(&key),
-            None if self.images.len() > 1 => {
-                let expected = "the masks of one image";
-                let value = format!("of {} images", self.images.len());
-                return Err(FormatError::field(self.path.display(), "list of masks", value, expected).into());
+        let mut list: Vec<ListedMask<'_>> = Vec::new();
+        for mask in self.masks.masks() {
+            if image.is_none_or(|key| mask.dataset_image().is_ok_and(|image| image == key)) {
+                list.push(mask);
             }
-            None => self.images.values().next(),
-        };
-        let mut proposals = Vec::new();
-        for detection in list.into_iter().flatten().take(MAX_PROPOSALS) {
-            let mask = detection.segmentation.decode().map_err(|e| e.within(self.path.display()))?;
-            if (mask.width, mask.height) != (frame.width(), frame.height()) {
-                let place = format!(
-                    "{}: scene {} image {}",
-                    self.path.display(),
-                    detection.scene_id,
-                    detection.image_id
-                );
-                let value = format!("{} x {}", mask.width, mask.height);
-                let expected = format!("that of the image, {} x {}", frame.width(), frame.height());
-                return Err(FormatError::field(place, "mask size", value, expected).into());
-            }
-            proposals.extend(Proposal::new(mask, detection.score as f32));
         }
-        Ok(proposals)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use unopose_core::{

@@ -117,11 +117,9 @@ fn intrinsics(path: &Path) -> Result<Intrinsics, FormatError> {
             return Err(FormatError::field(path.display(), "K", format!("{k:?}"), "9 numbers, column-major"));
         }
     };
-    let [fx, _, _, _, fy, _, cx, cy, _] = values;
-    if !values.iter().all(|v| v.is_finite()) || fx <= 0.0 || fy <= 0.0 {
-        return Err(FormatError::field(path.display(), "K", format!("{k:?}"), "focal lengths above 0"));
-    }
-    Ok(Intrinsics { fx, fy, cx, cy })
+    let rows = std::array::from_fn(|i| values[i % 3 * 3 + i / 3]);
+    Intrinsics::from_cam_k(&rows)
+        .map_err(|source| FormatError::Intrinsics { place: path.display().to_string(), source })
 }
 
 /// Files of a folder whose names are numbers.

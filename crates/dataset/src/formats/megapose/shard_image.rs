@@ -1,7 +1,5 @@
 //! One image of a shard, whole.
 
-use std::path::Path;
-
 use image::RgbImage;
 use unopose_core::frame::RgbdFrame;
 
@@ -55,7 +53,9 @@ impl ShardImage {
     pub fn annotated(self) -> Result<AnnotatedFrame, FormatError> {
         let Self { records, rgb, depth_png, name } = self;
         let camera = records.camera.check(&name)?;
-        let scale = camera.require_depth_scale(Path::new(&format!("{name}.camera.json")))?;
+        let scale = camera
+            .depth_scale
+            .ok_or_else(|| FormatError::missing(format!("{name}.camera.json"), "depth_scale", ""))?;
         let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), scale)?;
         camera.check_size(&format!("{name}.camera.json"), rgb.dimensions())?;
         if (depth.width, depth.height) != (rgb.width(), rgb.height()) {

@@ -1,20 +1,29 @@
-//! Detections and segmentations as a COCO-like list.
+//! Detections and segmentations as a list: those of BOP, results and annotations of COCO, masks of Segment Anything.
+
+mod list;
+mod polygon;
+mod segmentation;
+
+#[cfg(test)]
+mod tests;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
 };
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::{
     BopSplit, Foreground, FormatError, Target,
-    files::{read_json, write_json},
+    files::write_json,
     rle::Rle,
 };
 
+pub use list::{ListedMask, MaskList};
+
 /// One detected instance.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Detection {
     /// Scene of the image.
     pub scene_id: u32,
@@ -27,14 +36,9 @@ pub struct Detection {
     /// Confidence that the object is there; compared with others of the same list only.
     pub score: f64,
     /// Seconds for the whole image, negative when unknown.
-    #[serde(default = "unknown")]
     pub time: f64,
     /// Mask, as large as the image.
     pub segmentation: Rle,
-}
-
-fn unknown() -> f64 {
-    -1.0
 }
 
 /// A detection that cannot be used.
@@ -52,22 +56,11 @@ pub struct SkippedDetection {
     pub reason: String,
 }
 
-/// Reads a detection list in the order of the file. The masks stay encoded.
-pub fn read_detections(path: &Path) -> Result<Vec<Detection>, FormatError> {
-    let detections: Vec<Detection> = read_json(path)?;
-    for (entry, detection) in detections.iter().enumerate() {
-        let wrong = |field: &str, value: String, expected: &str| {
-            Err(FormatError::field(format!("{}: entry {entry}", path.display()), field, value, expected))
-        };
-        let Detection { score, bbox, .. } = detection;
-        if !score.is_finite() {
-            return wrong("score", score.to_string(), "a finite number");
-        }
-        if !bbox.iter().all(|x| x.is_finite()) || bbox[2] < 0.0 || bbox[3] < 0.0 {
-            return wrong("bbox", format!("{bbox:?}"), "x, y, width >= 0, height >= 0");
-        }
-    }
-    Ok(detections)
+/// Reads a list of detections in the order of the file. RLE masks stay encoded; polygons are filled, for which `split` has the
+/// sizes of images where the list has none.
+pub fn read_detections(path: &Path, split: Option<&BopSplit>) -> Result<Vec<Detection>, FormatError> {
+    let size = |scene_id, im_id| split?.scene(scene_id).ok()?.image_size(im_id).ok();
+    MaskList::read(path)?.masks().map(|mask| mask.detection(size)).collect()
 }
 
 /// Splits off the detections in `images` of a split whose masks are broken, empty or of another size than the image.
@@ -140,52 +133,4 @@ impl Detection {
 /// Writes a detection list.
 pub fn write_detections(path: &Path, detections: &[Detection]) -> Result<(), FormatError> {
     write_json(path, detections, false)
-}
-
-#[cfg(test)]
-mod tests {
-    use unopose_core::frame::Mask;
-
-    use super::*;
-    use crate::formats::rle::Counts;
-
-    #[test]
-    fn both_mask_forms_survive_the_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("dets.json");
-        let mask = Mask { width: 3, height: 2, data: vec![true, false, true, true, false, false] };
-        let detection = |segmentation, score| Detection {
-            scene_id: 1,
-            image_id: 2,
-            category_id: 3,
-            bbox: [0.0, 0.0, 2.0, 1.0],
-            score,
-            time: 0.5,
-            segmentation,
-        };
-        let list = [detection(Rle::encode(&mask), 0.2), detection(Rle::encode_compressed(&mask), 0.24)];
-        write_detections(&path, &list).unwrap();
-        let read = read_detections(&path).unwrap();
-        assert_eq!(read, list);
-        assert!(matches!(read[1].segmentation.counts, Counts::Compressed(_)));
-        assert_eq!(read[0].segmentation.decode().unwrap(), read[1].segmentation.decode().unwrap());
-
-        for (broken, part) in [
-            (
-                Detection { score: -1.0, bbox: [0.0, 0.0, -2.0, 1.0], ..list[1].clone() },
-                "entry 1: bbox is [0.0, 0.0, -2.0",
-            ),
-            (Detection { score: f64::NAN, ..list[1].clone() }, "invalid type: null"),
-        ] {
-            write_detections(&path, &[list[0].clone(), broken]).unwrap();
-            let message = read_detections(&path).unwrap_err().to_string();
-            assert!(message.contains("dets.json") && message.contains(part), "{message}");
-        }
-        let of_size =
-            |size| Detection { segmentation: Rle { size, counts: Counts::Runs(vec![6]) }, ..list[0].clone() };
-        assert_eq!(list[0].problem([2, 3]), None);
-        assert!(list[0].problem([4, 3]).unwrap().contains("size is 3 x 2, expected the image's 3 x 4"));
-        assert!(of_size([2, 3]).problem([2, 3]).unwrap().contains("empty"));
-        assert!(of_size([2, 2]).problem([2, 2]).unwrap().contains("sum of counts is 6"));
-    }
 }
