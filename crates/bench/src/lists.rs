@@ -157,8 +157,8 @@ impl ListRequest {
             list.facts.list = "rendered".into();
         }
         let detections = match &self.detections {
-            DetectionSource::File(path) => read_detections(path)?,
-            DetectionSource::UnoSeg(masks) => read_detections(&masks.detections)?,
+            DetectionSource::File(path) => read_detections(path, Some(&split))?,
+            DetectionSource::UnoSeg(masks) => read_detections(&masks.detections, Some(&split))?,
             DetectionSource::GroundTruth => true_masks(&dataset, &split, &list.entries)?,
         };
         let Entries { mut facts, entries, place } = list;

@@ -30,7 +30,12 @@ impl ListedProposals {
         let masks = MaskList::read(path)?;
         let images: BTreeSet<_> = masks.masks().map(|mask| mask.image()).collect();
         let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, e))?;
-        Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), several_images: images.len() > 1, masks })
+        Ok(Self {
+            path: path.to_owned(),
+            checksum: crc32fast::hash(&bytes),
+            several_images: images.len() > 1,
+            masks,
+        })
     }
 }
 
@@ -46,19 +51,48 @@ impl ProposalGenerator for ListedProposals {
 
     /// Without a key the file must be about one image.
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
+        if image.is_none() && self.several_images {
+            let expected = "the masks of one image";
+            return Err(FormatError::field(
+                self.path.display(),
+                "list of masks",
+                "of several images",
+                expected,
+            )
+            .into());
+        }
         let mut list: Vec<ListedMask<'_>> = Vec::new();
         for mask in self.masks.masks() {
-            if image.is_none_or(|key| mask.dataset_image().is_ok_and(|image| image == key)) {
-                list.push(mask);
+            match image {
+                Some(key) if mask.dataset_image()? != key => {}
+                _ => list.push(mask),
             }
         }
+        list.sort_by(|a, b| b.score().total_cmp(&a.score()));
+        let size = (frame.width(), frame.height());
+        let mut proposals = Vec::new();
+        for mask in list.into_iter().take(MAX_PROPOSALS) {
+            let rle = mask.rle(Some(size))?;
+            let [height, width] = rle.size;
+            if (width, height) != size {
+                let expected = format!("that of the image, {} x {}", size.0, size.1);
+                let value = format!("{width} x {height}");
+                return Err(FormatError::field(mask.place(), "mask size", value, expected).into());
+            }
+            let decoded = rle.decode().map_err(|e| e.within(mask.place()))?;
+            proposals.extend(Proposal::new(decoded, mask.score() as f32));
+        }
+        Ok(proposals)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use unopose_core::{
         frame::{DepthMap, Mask},
         geometry::Intrinsics,
     };
-    use unopose_dataset::formats::detections::write_detections;
+    use unopose_dataset::formats::detections::{Detection, write_detections};
 
     use super::*;
 
@@ -90,6 +124,17 @@ mod tests {
         write_detections(&path, &list[..1]).unwrap();
         let changed = ListedProposals::read(&path).unwrap();
         assert!(changed.name() == listed.name() && changed.fingerprint() != listed.fingerprint());
+        // Without ids, as Segment Anything writes them: masks of one image, but of no image of a dataset.
+        let sam = r#"[{"segmentation": {"size": [2, 4], "counts": [5, 1, 2]}, "predicted_iou": 0.9, "bbox": [2, 1, 1, 1]},
+            {"segmentation": [[1, 0, 4, 0, 4, 1, 1, 1]], "predicted_iou": 0.95, "bbox": [1, 0, 3, 1]}]"#;
+        let sam_path = folder.path().join("sam.json");
+        std::fs::write(&sam_path, sam).unwrap();
+        let sam = ListedProposals::read(&sam_path).unwrap();
+        let found = sam.proposals(&frame, None).unwrap();
+        let pixels = found.iter().map(|p| p.mask.pixels().collect::<Vec<_>>()).collect::<Vec<_>>();
+        assert_eq!(pixels, [vec![(1, 0), (2, 0), (3, 0)], vec![(2, 1)]]);
+        let message = sam.proposals(&frame, Some((1, 2))).unwrap_err().to_string();
+        assert!(message.contains("image_id not found") && message.contains("--proposals"), "{message}");
         let small = RgbdFrame { rgb: image::RgbImage::new(3, 2), ..frame };
         let message = listed.proposals(&small, None).unwrap_err().to_string();
         assert!(message.contains("4 x 2") && message.contains("3 x 2"), "{message}");

@@ -89,7 +89,7 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     let list = arguments.targets.clone().unwrap_or_else(|| dataset.file("test_targets_bop19.json"));
     let targets = read_targets(&list)?;
     check_targets(&targets, &list.display().to_string(), &split)?;
-    let detections = read_detections(path)?;
+    let detections = read_detections(path, Some(&split))?;
     let mut all: BTreeMap<&str, CocoScores> = BTreeMap::new();
     for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {
         let scores = coco_scores(&split, &targets, &detections, &path.display().to_string(), kind)?;

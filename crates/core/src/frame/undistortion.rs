@@ -78,7 +78,8 @@ fn bilinear(image: &RgbImage, [u, v]: [f32; 2]) -> Rgb<u8> {
     let (col, row) = (u.floor() as u32, v.floor() as u32);
     let (a, b) = (u - u.floor(), v - v.floor());
     let (right, below) = ((col + 1).min(image.width() - 1), (row + 1).min(image.height() - 1));
-    let corners = [(col, row), (right, row), (col, below), (right, below)].map(|(x, y)| image.get_pixel(x, y).0);
+    let corners =
+        [(col, row), (right, row), (col, below), (right, below)].map(|(x, y)| image.get_pixel(x, y).0);
     let weights = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
     let channel = |c: usize| corners.iter().zip(weights).map(|(p, w)| f32::from(p[c]) * w).sum::<f32>();
     Rgb([0, 1, 2].map(|c| channel(c).round() as u8))
@@ -176,7 +177,10 @@ mod tests {
                 }
                 let map = Undistortion::new(&CAMERA, &lens, 32, 24);
                 let share = map.covered();
-                assert!((0.0..=1.0).contains(&share) && (share < 0.1 || value == f64::MIN_POSITIVE), "{share}");
+                assert!(
+                    (0.0..=1.0).contains(&share) && (share < 0.1 || value == f64::MIN_POSITIVE),
+                    "{share}"
+                );
             }
         }
     }

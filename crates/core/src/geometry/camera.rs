@@ -108,7 +108,8 @@ impl Intrinsics {
     ) -> Result<(), IntrinsicsError> {
         let [x, y] = principal;
         let values = [("fx", self.fx, focal), ("fy", self.fy, focal), ("cx", self.cx, x), ("cy", self.cy, y)];
-        match values.into_iter().find(|(_, value, [minimum, maximum])| !(minimum..=maximum).contains(&value)) {
+        match values.into_iter().find(|(_, value, [minimum, maximum])| !(minimum..=maximum).contains(&value))
+        {
             None => Ok(()),
             Some((name, value, [minimum, maximum])) => {
                 Err(IntrinsicsError::Range { name, value, minimum, maximum, of_image: of_image.to_owned() })

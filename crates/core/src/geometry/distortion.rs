@@ -51,8 +51,7 @@ mod tests {
 
     #[test]
     fn the_formula_by_hand() {
-        let plumb_bob =
-            Distortion { radial: [0.1, -0.2, 0.3, 0.0, 0.0, 0.0], tangential: [0.01, -0.02] };
+        let plumb_bob = Distortion { radial: [0.1, -0.2, 0.3, 0.0, 0.0, 0.0], tangential: [0.01, -0.02] };
         // s = 0.25, f = 1 + 0.025 - 0.0125 + 0.0046875 = 1.0171875.
         let [x, y] = plumb_bob.distort([0.3, 0.4]);
         let expected = [

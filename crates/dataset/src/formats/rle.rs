@@ -304,7 +304,9 @@ mod tests {
 
     #[test]
     fn damaged_strings_are_masks_or_errors() {
-        let Counts::Compressed(text) = Rle::encode_compressed(&mask(40, 30, &[(3, 4), (3, 5), (9, 9)])).counts else {
+        let Counts::Compressed(text) =
+            Rle::encode_compressed(&mask(40, 30, &[(3, 4), (3, 5), (9, 9)])).counts
+        else {
             panic!("compressed form expected")
         };
         let mut state = 5u32;

@@ -55,7 +55,8 @@ impl TargetList {
         let mut targets = read_reference_targets(&files.targets)?;
         targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
         let place = files.targets.display().to_string();
-        Self::new(dataset, split, reference_split, targets, read_detections(&files.detections)?, &place)
+        let detections = read_detections(&files.detections, Some(&split))?;
+        Self::new(dataset, split, reference_split, targets, detections, &place)
     }
 
     /// From its parts; `place` is the list of targets in messages. Targets and references have to be there, detections with

@@ -71,7 +71,8 @@ impl<'a> Fields<'a> {
         let named = |name: &&'static str| {
             let mut levels = self.levels.iter().filter_map(|level| level.get(*name));
             // An object without numbers of its own is a level.
-            let value = levels.find(|value| !value.is_null() && (!value.is_object() || value.get("data").is_some()));
+            let value =
+                levels.find(|value| !value.is_null() && (!value.is_object() || value.get("data").is_some()));
             Some((*name, value?))
         };
         names.iter().find_map(named)

@@ -87,7 +87,8 @@ fn object(bytes: &[u8], path: &Path) -> Result<Map<String, Value>, FormatError> 
 fn matrix(text: &str) -> Option<Vec<f64>> {
     let lines = text.lines().map(|line| line.split(['#', '%']).next().unwrap_or_default());
     let words = lines.flat_map(|line| line.split(|c: char| c.is_whitespace() || ",;[]".contains(c)));
-    let numbers: Option<Vec<f64>> = words.filter(|word| !word.is_empty()).map(|word| word.parse().ok()).collect();
+    let numbers: Option<Vec<f64>> =
+        words.filter(|word| !word.is_empty()).map(|word| word.parse().ok()).collect();
     numbers.filter(|numbers| !numbers.is_empty())
 }
 

@@ -34,7 +34,8 @@ const BROWN_CONRADY: [&str; 9] = [
 ];
 /// Parts of the names of models that bend lines even where all coefficients are 0.
 const FISHEYES: [&str; 6] = ["fisheye", "equidistant", "kannala", "ftheta", "omni", "sphere"];
-const EXPECTED: &str = "plumb_bob, Brown-Conrady or rational_polynomial, or images that are undistorted before";
+const EXPECTED: &str =
+    "plumb_bob, Brown-Conrady or rational_polynomial, or images that are undistorted before";
 
 /// The lens's distortion; `None` where it has none. An error where it has one that is not undone.
 pub(super) fn distortion(fields: &Fields<'_>) -> Result<Option<Distortion>, FormatError> {
@@ -75,8 +76,14 @@ fn model(fields: &Fields<'_>) -> Result<(&'static str, String), FormatError> {
     let Some((name, value)) = found else { return Ok((MODEL[0], String::new())) };
     if let Some(number) = value.as_u64() {
         // `rs2_distortion` of RealSense.
-        let names =
-            ["none", "modifiedbrownconrady", "inversebrownconrady", "ftheta", "brownconrady", "kannalabrandt"];
+        let names = [
+            "none",
+            "modifiedbrownconrady",
+            "inversebrownconrady",
+            "ftheta",
+            "brownconrady",
+            "kannalabrandt",
+        ];
         let model = usize::try_from(number).ok().and_then(|number| names.get(number));
         let known = || fields.wrong(name, &number.to_string(), "0 to 5 or the model's name");
         return Ok((name, (*model.ok_or_else(known)?).to_owned()));

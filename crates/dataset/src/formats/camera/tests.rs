@@ -91,15 +91,23 @@ fn a_missing_scale_is_no_scale() {
 
 #[test]
 fn scales_of_other_meanings_are_refused() {
-    let with = |scale: &str| format!(r#"{{"fx": 600, "fy": 601, "cx": 319.5, "cy": 239.5, "depth_scale": {scale}}}"#);
+    let with = |scale: &str| {
+        format!(r#"{{"fx": 600, "fy": 601, "cx": 319.5, "cy": 239.5, "depth_scale": {scale}}}"#)
+    };
     assert_eq!(read(&with("\"0.1\"")).unwrap().depth_scale, Some(0.1));
     assert_eq!(read(&with("1000")).unwrap().depth_scale, Some(1000.0));
     // Metres per unit, as RealSense has it.
-    assert!(message(&with("0.001")).contains("depth_scale is 0.001, expected 0.002 to 1000 millimetres per unit"));
+    assert!(
+        message(&with("0.001")).contains("depth_scale is 0.001, expected 0.002 to 1000 millimetres per unit")
+    );
     assert!(message(&with("1e308")).contains("depth_scale is 1e308"));
     assert!(message(&with("\"much\"")).contains("depth_scale is \"much\", expected a number"));
     let open3d = r#"{"intrinsic_matrix": [600, 0, 0, 0, 601, 0, 319.5, 239.5, 1], "depth_scale": 1000.0}"#;
-    assert!(message(open3d).contains("units per metre, which are 1 millimetres per unit"), "{}", message(open3d));
+    assert!(
+        message(open3d).contains("units per metre, which are 1 millimetres per unit"),
+        "{}",
+        message(open3d)
+    );
     let other = read_bytes(with("0.1").as_bytes(), Some(1.0)).unwrap_err().to_string();
     assert!(other.contains("depth_scale is 0.1, expected 1 as given"), "{other}");
     assert!(read_bytes(with("0.1").as_bytes(), Some(0.1)).is_ok());
@@ -116,10 +124,16 @@ fn unusable_cameras_are_named() {
         (r#"{"cam_K": [600, 0, 0, 0, 600, 0, 319.5, 239.5, 1]}"#, "cam_K[6] is 319.5, expected 0 (row-major"),
         (r#"{"fx": 600, "cx": 319.5, "cy": 239.5}"#, "fy not found"),
         (r#"{"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5, "width": 640.5}"#, "width is 640.5"),
-        (r#"{"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5, "K": [500, 0, 1, 0, 500, 1, 0, 0, 1]}"#, "as in K"),
+        (
+            r#"{"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5, "K": [500, 0, 1, 0, 500, 1, 0, 0, 1]}"#,
+            "as in K",
+        ),
         (r#"{"depth_scale": 1.0}"#, "camera not found"),
         (r#"{"cam_K": [600, 0, 1e308, 0, 600, 55.5, 0, 0, 1]}"#, "cx is 1e308 px, expected"),
-        (r#"{"fx": 0.9, "fy": 0.9, "cx": 0.5, "cy": 0.4, "width": 640, "height": 480}"#, "fx is 0.9 px, expected 32.0 to"),
+        (
+            r#"{"fx": 0.9, "fy": 0.9, "cx": 0.5, "cy": 0.4, "width": 640, "height": 480}"#,
+            "fx is 0.9 px, expected 32.0 to",
+        ),
         (
             r#"{"0": {"cam_K": [600, 0, 319.5, 0, 600, 239.5, 0, 0, 1]}, "1": {"cam_K": [700, 0, 319.5, 0, 700, 239.5, 0, 0, 1]}}"#,
             "another in image 1 than in image 0",
@@ -156,9 +170,15 @@ fn lenses_are_undone_or_refused_by_name() {
         assert!(map.covered() > 0.9, "{lens}");
     }
     for (lens, parts) in [
-        (r#""D": [0, 0, 0, 0], "distortion_model": "equidistant""#, ["distortion_model is \"equidistant\"", "plumb_bob"]),
+        (
+            r#""D": [0, 0, 0, 0], "distortion_model": "equidistant""#,
+            ["distortion_model is \"equidistant\"", "plumb_bob"],
+        ),
         (r#""D": [1, 0, 0, 0], "distortion_model": "fisheye""#, ["fisheye", "undistorted before"]),
-        (r#""coeffs": [-0.05, 0, 0, 0, 0], "model": "Inverse Brown Conrady""#, ["inversebrownconrady", "-0.05"]),
+        (
+            r#""coeffs": [-0.05, 0, 0, 0, 0], "model": "Inverse Brown Conrady""#,
+            ["inversebrownconrady", "-0.05"],
+        ),
         (r#""coeffs": [-0.05, 0, 0, 0, 0], "model": 2"#, ["inversebrownconrady", "-0.05"]),
         (r#""coeffs": [0, 0, 0, 0, 0], "model": 9"#, ["model is 9", "0 to 5"]),
         (r#""D": [0.1, 0.1]"#, ["D is a list of 2 numbers", "k1, k2, p1, p2"]),
@@ -176,7 +196,8 @@ fn lenses_are_undone_or_refused_by_name() {
 
 #[test]
 fn images_of_datasets_have_no_lens() {
-    let text = r#"{"cam_K": [600, 0, 319.5, 0, 601, 239.5, 0, 0, 1], "depth_scale": "0.1", "D": [0.1, 0, 0, 0]}"#;
+    let text =
+        r#"{"cam_K": [600, 0, 319.5, 0, 601, 239.5, 0, 0, 1], "depth_scale": "0.1", "D": [0.1, 0, 0, 0]}"#;
     let record: CameraRecord = serde_json::from_str(text).unwrap();
     assert_eq!((record.cam_k, record.depth_scale), (K.to_cam_k(), Some(0.1)));
     let message = record.check("scene_camera.json: image 3").unwrap_err().to_string();

@@ -140,9 +140,11 @@ impl ListedMask<'_> {
                 "size of the image",
                 "polygons of an image that is not in the dataset: expected images with width and height",
             )),
-            None => {
-                Err(FormatError::missing(self.place(), "segmentation", "masks are needed, boxes are not enough"))
-            }
+            None => Err(FormatError::missing(
+                self.place(),
+                "segmentation",
+                "masks are needed, boxes are not enough",
+            )),
         }
     }
 
@@ -187,7 +189,8 @@ impl ListedMask<'_> {
         }
     }
 
-    fn place(&self) -> String {
+    /// File, entry and form, for messages.
+    pub fn place(&self) -> String {
         format!("{}: entry {} of a list of {}", self.list.path.display(), self.index, self.list.form)
     }
 }

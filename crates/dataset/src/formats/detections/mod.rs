@@ -14,11 +14,7 @@ use std::{
 
 use serde::Serialize;
 
-use super::{
-    BopSplit, Foreground, FormatError, Target,
-    files::write_json,
-    rle::Rle,
-};
+use super::{BopSplit, Foreground, FormatError, Target, files::write_json, rle::Rle};
 
 pub use list::{ListedMask, MaskList};
 

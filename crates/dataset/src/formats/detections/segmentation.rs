@@ -126,7 +126,10 @@ impl<'de> Deserialize<'de> for Number {
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 // Segment Anything's `binary_mask` is a matrix of booleans.
-                write!(f, "a polygon's coordinate; segmentation may be {EXPECTED}, as of output_mode coco_rle")
+                write!(
+                    f,
+                    "a polygon's coordinate; segmentation may be {EXPECTED}, as of output_mode coco_rle"
+                )
             }
 
             fn visit_f64<E: de::Error>(self, value: f64) -> Result<Number, E> {

@@ -29,7 +29,10 @@ fn both_mask_forms_survive_the_file() {
             Detection { score: -1.0, bbox: [0.0, 0.0, -2.0, 1.0], ..list[1].clone() },
             "entry 1 of a list of BOP detections: bbox is [0.0, 0.0, -2.0",
         ),
-        (Detection { score: f64::NAN, ..list[1].clone() }, "entry 1 of a list of BOP detections: score not found"),
+        (
+            Detection { score: f64::NAN, ..list[1].clone() },
+            "entry 1 of a list of BOP detections: score not found",
+        ),
     ] {
         write_detections(&path, &[list[0].clone(), broken]).unwrap();
         let message = read_detections(&path, None).unwrap_err().to_string();
@@ -114,9 +117,18 @@ fn what_a_form_lacks_is_named_with_the_form() {
             listed(r#""area": 2, "bbox": [1, 1, 2, 1], "predicted_iou": 0.9, "stability_score": 0.97"#),
             ["list of masks of Segment Anything: image_id not found", "--proposals"],
         ),
-        (listed(r#""scene_id": 1, "image_id": 2, "bbox": [1, 1, 2, 1], "score": 1"#), ["category_id not found", "BOP"]),
-        (listed(r#""scene_id": 1, "image_id": 2, "category_id": 3, "score": 1"#), ["bbox not found", "entry 0"]),
-        (listed(r#""scene_id": 1, "image_id": -2, "category_id": 3, "score": 1"#), ["image_id is -2", "entry 0"]),
+        (
+            listed(r#""scene_id": 1, "image_id": 2, "bbox": [1, 1, 2, 1], "score": 1"#),
+            ["category_id not found", "BOP"],
+        ),
+        (
+            listed(r#""scene_id": 1, "image_id": 2, "category_id": 3, "score": 1"#),
+            ["bbox not found", "entry 0"],
+        ),
+        (
+            listed(r#""scene_id": 1, "image_id": -2, "category_id": 3, "score": 1"#),
+            ["image_id is -2", "entry 0"],
+        ),
         (format!("[{{{bop}}}]"), ["segmentation not found", "boxes are not enough"]),
         (polygon("[]"), ["segmentation not found", "boxes are not enough"]),
         (polygon("[[1, 1, 3, 1, 3, 2]]"), ["size of the image not found", "width and height"]),
@@ -126,13 +138,19 @@ fn what_a_form_lacks_is_named_with_the_form() {
         (polygon(r#"{"size": [3], "counts": []}"#), ["invalid length 1", "array of length 2"]),
         (annotated("[[1, 1, 3]]"), ["polygon 0 is a list of 3 numbers", "pairs x, y"]),
         (annotated("[[1, 1, 3, 1, 1e9, 2]]"), ["one with a corner at 1000000000.0", "near the image"]),
-        (annotation.replace("\"image_id\": 1", "\"image_id\": 9"), ["annotation 0: image_id is 9", "ids in images"]),
+        (
+            annotation.replace("\"image_id\": 1", "\"image_id\": 9"),
+            ["annotation 0: image_id is 9", "ids in images"],
+        ),
         (annotated("[[1, 1]]").replace("4,", "1000000000,"), ["size is [3, 1000000000]", "at most"]),
         ("7".into(), ["expected a list of masks", "images and annotations"]),
         (r#"{"annotations": []}"#.into(), ["missing field `images`", "dets.json"]),
     ] {
         let message = read(&text).unwrap_err().to_string();
-        assert!(parts.iter().all(|part| message.contains(part)) && message.contains("dets.json"), "{message}");
+        assert!(
+            parts.iter().all(|part| message.contains(part)) && message.contains("dets.json"),
+            "{message}"
+        );
     }
     assert!(read("[]").unwrap().is_empty());
 }
@@ -147,7 +165,10 @@ fn masks_without_ids_are_those_of_one_image() {
     std::fs::write(&path, text).unwrap();
     let list = MaskList::read(&path).unwrap();
     let masks: Vec<ListedMask<'_>> = list.masks().collect();
-    assert_eq!(masks.iter().map(|m| (m.image(), m.score())).collect::<Vec<_>>(), [((None, None), 0.93), ((None, None), 0.5)]);
+    assert_eq!(
+        masks.iter().map(|m| (m.image(), m.score())).collect::<Vec<_>>(),
+        [((None, None), 0.93), ((None, None), 0.5)]
+    );
     for mask in masks {
         let mask = mask.rle(Some((4, 3))).unwrap().decode().unwrap();
         assert_eq!(mask.pixels().collect::<Vec<_>>(), SQUARE);
