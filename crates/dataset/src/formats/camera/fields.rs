@@ -139,7 +139,7 @@ impl<'a> Fields<'a> {
         match self.number(names)? {
             // ROS cameras that were not set up have 0.
             None | Some(0.0) => Ok(None),
-            Some(value) if value >= 1.0 && value <= u32::MAX.into() && value.fract() == 0.0 => {
+            Some(value) if value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 => {
                 Ok(Some(value as u32))
             }
             Some(value) => Err(self.wrong(names[0], &format!("{value:?}"), "a number of pixels")),

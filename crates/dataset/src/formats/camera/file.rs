@@ -98,7 +98,7 @@ fn scene(object: &Map<String, Value>, place: &str) -> Option<Result<CameraRecord
         .iter()
         .map(|(key, value)| Some((key, value.as_object().filter(|_| key.parse::<u32>().is_ok())?)))
         .collect::<Option<_>>()?;
-    let record = |(key, image): &(&String, &Map<String, Value>)| {
+    let record = |(key, image): &(&String, &Map<String, Value>)| -> Result<CameraRecord, FormatError> {
         let place = format!("{place}: image {key}");
         let record = Fields::new(image, &place).record()?;
         // Poses of the camera differ and are of no use here.
