@@ -12,6 +12,7 @@
 //!     depth: format!("{name}/depth.png").into(),
 //!     masks: vec![format!("{name}/mask.png").into()],
 //!     camera: "camera.json".into(),
+//!     depth_scale: None,
 //! };
 //! let (reference, query) = (view("reference").read()?, view("query").read()?);
 //!

@@ -140,7 +140,7 @@ fn noisy_masks_score_as_in_pycocotools() {
     let dataset = BopDataset::open(&benchmark).unwrap();
     let split = dataset.test_split().unwrap();
     let targets = read_targets(&dataset.file("test_targets_bop19.json")).unwrap();
-    let detections = read_detections(&benchmark.join("dets_noisy_dev.json")).unwrap();
+    let detections = read_detections(&benchmark.join("dets_noisy_dev.json"), None).unwrap();
     for (kind, expected) in [
         (RegionKind::Mask, [0.691772492766083, 0.9168316831683169, 0.900685088566623, 0.710390873015873]),
         (RegionKind::Box, [0.6783310660988603, 0.8979820251757035, 0.824288439167149, 0.7310813492063493]),
@@ -159,7 +159,7 @@ fn noisy_masks_score_as_in_pycocotools() {
 fn ground_truth_detections_decode_to_the_visible_masks() {
     let benchmark = unopose_tests::shared("bench/dev");
     let split = BopDataset::open(&benchmark).unwrap().test_split().unwrap();
-    let detections = read_detections(&benchmark.join("dets_gt_dev.json")).unwrap();
+    let detections = read_detections(&benchmark.join("dets_gt_dev.json"), None).unwrap();
     assert_eq!(detections.len(), 406);
     for detection in detections.iter().step_by(9) {
         let mask = detection.segmentation.decode().unwrap();

@@ -151,7 +151,7 @@ impl ListRequest {
             DetectionSource::GroundTruth => None,
         };
         let (detections, masks_place) = match given {
-            Some(path) => (read_detections(path)?, path.display().to_string()),
+            Some(path) => (read_detections(path, Some(&split))?, path.display().to_string()),
             None => {
                 (true_masks(&dataset, &split, &list.entries)?, format!("{}: annotated masks", dataset.name()))
             }

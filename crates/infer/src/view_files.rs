@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use unopose_core::frame::{Mask, RgbdFrame};
+use unopose_core::frame::{Mask, RgbdFrame, Undistortion};
 use unopose_dataset::formats::{
     FormatError,
-    camera::read_camera,
+    camera::read_camera_scaled,
     image_io::{MaskValue, read_depth_by, read_mask_value, read_rgb, size_before_orientation},
 };
 
@@ -14,7 +14,7 @@ const DEPTH_EXTENSIONS: [&str; 7] = ["png", "tif", "tiff", "npy", "exr", "pfm", 
 const MASK_EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp", "npy", "pgm"];
 
 /// Files of one view.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ViewFiles {
     /// Colour image.
     pub rgb: PathBuf,
@@ -22,8 +22,10 @@ pub struct ViewFiles {
     pub depth: PathBuf,
     /// One mask per instance.
     pub masks: Vec<PathBuf>,
-    /// `{cam_K, depth_scale}`.
+    /// A camera file of any form ([`unopose_dataset::formats::camera`]). What a lens's distortion did to the images is undone.
     pub camera: PathBuf,
+    /// Millimetres per unit of the depth image, for camera files that do not say.
+    pub depth_scale: Option<f64>,
 }
 
 /// What a view is for.
@@ -54,7 +56,7 @@ impl ViewFiles {
 
     /// [`Self::read`] for a role; with a value, masks are label maps, and the pixels with this value the object.
     pub fn read_as(&self, role: ViewRole, mask_value: Option<MaskValue>) -> Result<View, FormatError> {
-        let camera = read_camera(&self.camera)?;
+        let camera = read_camera_scaled(&self.camera, self.depth_scale)?;
         let rgb = read_rgb(&self.rgb)?;
         let mut depth_scale = None;
         let depth = read_depth_by(&self.depth, || {
@@ -100,15 +102,34 @@ impl ViewFiles {
             Ok(mask)
         };
         let masks = self.masks.iter().map(read).collect::<Result<_, _>>()?;
+        let lens = camera.undistortion(&self.camera.display().to_string(), rgb.dimensions())?;
         let frame = RgbdFrame { rgb, depth, intrinsics: camera.intrinsics };
-        Ok(View { frame, masks, depth_scale })
+        let view = View { frame, masks, depth_scale };
+        match lens {
+            None => Ok(view),
+            Some(lens) => self.undistorted(&view, &lens),
+        }
+    }
+
+    fn undistorted(&self, view: &View, lens: &Undistortion) -> Result<View, FormatError> {
+        tracing::info!("{}: the lens's distortion is undone", self.rgb.display());
+        let masks: Vec<Mask> = view.masks.iter().map(|mask| lens.mask(mask)).collect();
+        if let Some(index) = masks.iter().position(|mask| mask.count() == 0) {
+            let expected = format!("pixels inside the undistorted image of {}", self.camera.display());
+            return Err(FormatError::field(self.masks[index].display(), "mask", "outside", expected));
+        }
+        Ok(View { frame: view.frame.undistorted(lens), masks, depth_scale: view.depth_scale })
     }
 }
 
 /// The views of a folder `{rgb,depth,mask}/` by name, sorted: `rgb/NAME.png|jpg|webp|...`, `depth/NAME.png|tif|npy|exr|...`, masks
 /// `mask/NAME.png` or, for several instances, `mask/NAME_*.png`. In a folder without `mask/` no view has masks. The camera is
-/// the folder's own `camera.json`, or else `camera`.
-pub fn query_folder(folder: &Path, camera: &Path) -> Result<Vec<(String, ViewFiles)>, FormatError> {
+/// the folder's own `camera.json`, or else `camera`; `depth_scale` is for camera files that have none, millimetres per unit.
+pub fn query_folder(
+    folder: &Path,
+    camera: &Path,
+    depth_scale: Option<f64>,
+) -> Result<Vec<(String, ViewFiles)>, FormatError> {
     let own = folder.join("camera.json");
     let camera = if own.is_file() { own } else { camera.to_path_buf() };
     let colors = files_of(&folder.join("rgb"), &COLOR_EXTENSIONS)?;
@@ -148,7 +169,8 @@ pub fn query_folder(folder: &Path, camera: &Path) -> Result<Vec<(String, ViewFil
             let missing = format!("{name}.png or {name}_*.png");
             return Err(FormatError::missing(masks.display(), missing, ""));
         }
-        Ok((name.clone(), ViewFiles { rgb: rgb.clone(), depth, masks: masks_of, camera: camera.clone() }))
+        let camera = camera.clone();
+        Ok((name.clone(), ViewFiles { rgb: rgb.clone(), depth, masks: masks_of, camera, depth_scale }))
     };
     colors.iter().map(view).collect()
 }
@@ -194,6 +216,7 @@ mod tests {
             depth: at("depth.png"),
             masks: vec![at("mask.png")],
             camera: at("k.json"),
+            depth_scale: None,
         }
     }
 
@@ -254,6 +277,48 @@ mod tests {
     }
 
     #[test]
+    fn distorted_views_become_those_of_a_pinhole_camera() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let (mut rgb, mut depth) = (image::RgbImage::new(64, 48), DepthMap::zeros(64, 48));
+        let mut mask = Mask::empty(64, 48);
+        // 20 pixels right of the principal point, x' = 0.4 = x (1 + 0.5 x^2): x = 0.374, 18.7 pixels in the pinhole image.
+        rgb.put_pixel(52, 24, image::Rgb([255; 3]));
+        depth.data[24 * 64 + 52] = 0.7;
+        mask.data[24 * 64 + 52] = true;
+        write_rgb(&at("rgb.png"), &rgb).unwrap();
+        write_depth(&at("depth.png"), &depth, 0.1).unwrap();
+        write_mask(&at("mask.png"), &mask).unwrap();
+        let camera = |name: &str, more: &str| {
+            std::fs::write(at(name), format!("K: [50, 0, 32, 0, 50, 24, 0, 0, 1]\n{more}")).unwrap();
+        };
+        camera("k.yaml", "D: [0.5, 0, 0, 0, 0]\ndistortion_model: plumb_bob\n");
+        let mut files = ViewFiles {
+            rgb: at("rgb.png"),
+            depth: at("depth.png"),
+            masks: vec![at("mask.png")],
+            camera: at("k.yaml"),
+            depth_scale: Some(0.1),
+        };
+        let view = files.read().unwrap();
+        assert_eq!(view.masks[0].pixels().collect::<Vec<_>>(), [(51, 24)]);
+        assert_eq!((view.frame.depth.get(51, 24), view.frame.depth.get(52, 24)), (0.7, 0.0));
+        assert!(view.frame.rgb.get_pixel(51, 24).0[0] > 100 && view.frame.rgb.get_pixel(52, 24).0[0] < 60);
+        camera("fisheye.yaml", "D: [0, 0, 0, 0]\ndistortion_model: equidistant\n");
+        camera("size.yaml", "width: 640\nheight: 480\n");
+        for (name, part) in [
+            ("fisheye.yaml", "fisheye.yaml: distortion_model is \"equidistant\""),
+            ("size.yaml", "size.yaml: image size is 640 x 480, expected 64 x 48"),
+        ] {
+            let message = ViewFiles { camera: at(name), ..files.clone() }.read().unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
+        files.depth_scale = None;
+        let message = files.read().unwrap_err().to_string();
+        assert!(message.contains("depth_scale not found") && message.contains("--depth-scale"), "{message}");
+    }
+
+    #[test]
     fn a_folder_lists_views_with_their_instances() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
@@ -269,25 +334,25 @@ mod tests {
             std::fs::create_dir_all(at(file).parent().unwrap()).unwrap();
             std::fs::write(at(file), b"").unwrap();
         }
-        let views = query_folder(folder.path(), Path::new("k.json")).unwrap();
+        let views = query_folder(folder.path(), Path::new("k.json"), None).unwrap();
         let names: Vec<&str> = views.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["a", "a_2"]);
         assert_eq!(views[0].1.masks, [at("mask/a_0.png"), at("mask/a_1.png")]);
         assert_eq!((&views[1].1.masks, &views[1].1.rgb), (&vec![at("mask/a_2.png")], &at("rgb/a_2.jpg")));
         assert_eq!(views[0].1.camera, Path::new("k.json"));
         std::fs::remove_file(at("mask/a_2.png")).unwrap();
-        let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();
+        let message = query_folder(folder.path(), Path::new("k.json"), None).unwrap_err().to_string();
         assert!(message.contains("mask") && message.contains("a_2.png or a_2_*.png"), "{message}");
         std::fs::remove_dir_all(at("mask")).unwrap();
-        let views = query_folder(folder.path(), Path::new("k.json")).unwrap();
+        let views = query_folder(folder.path(), Path::new("k.json"), None).unwrap();
         assert!(views.len() == 2 && views.iter().all(|(_, files)| files.masks.is_empty()));
         std::fs::write(at("depth/a.npy"), b"").unwrap();
-        let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();
+        let message = query_folder(folder.path(), Path::new("k.json"), None).unwrap_err().to_string();
         assert!(message.contains("a.npy") && message.contains("a.png, expected one file"), "{message}");
         std::fs::remove_file(at("depth/a.npy")).unwrap();
         std::fs::write(at("camera.json"), b"{}").unwrap();
         std::fs::remove_file(at("depth/a_2.png")).unwrap();
-        let message = query_folder(folder.path(), Path::new("k.json")).unwrap_err().to_string();
+        let message = query_folder(folder.path(), Path::new("k.json"), None).unwrap_err().to_string();
         assert!(message.contains("depth") && message.contains("a_2.png"), "{message}");
     }
 }

@@ -1,14 +1,14 @@
-//! Proposals of any other segmenter (FastSAM, ...) from a list in the COCO/BOP form.
+//! Proposals of any other segmenter (FastSAM, Segment Anything, ...) from a list of masks.
 
 use std::{
-    collections::BTreeMap,
+    collections::BTreeSet,
     path::{Path, PathBuf},
 };
 
 use unopose_core::frame::RgbdFrame;
 use unopose_dataset::formats::{
     FormatError,
-    detections::{Detection, read_detections},
+    detections::{ListedMask, MaskList},
 };
 
 use super::{ImageKey, MAX_PROPOSALS, Proposal, ProposalGenerator, SegmentError};
@@ -19,22 +19,24 @@ pub struct ListedProposals {
     path: PathBuf,
     /// CRC-32 of the file.
     checksum: u32,
-    images: BTreeMap<ImageKey, Vec<Detection>>,
+    masks: MaskList,
+    /// Whether the masks are those of more than one image.
+    several_images: bool,
 }
 
 impl ListedProposals {
     /// Reads the list and takes its checksum.
     pub fn read(path: &Path) -> Result<Self, SegmentError> {
-        let mut images: BTreeMap<ImageKey, Vec<Detection>> = BTreeMap::new();
-        for detection in read_detections(path)? {
-            images.entry((detection.scene_id, detection.image_id)).or_default().push(detection);
-        }
-        for list in images.values_mut() {
-            list.sort_by(|a, b| b.score.total_cmp(&a.score));
-        }
+        let masks = MaskList::read(path)?;
+        let images: BTreeSet<_> = masks.masks().map(|mask| mask.image()).collect();
         let bytes =
             unopose_core::files::read_regular(path, u64::MAX).map_err(|e| FormatError::io(path, e))?;
-        Ok(Self { path: path.to_owned(), checksum: crc32fast::hash(&bytes), images })
+        Ok(Self {
+            path: path.to_owned(),
+            checksum: crc32fast::hash(&bytes),
+            several_images: images.len() > 1,
+            masks,
+        })
     }
 }
 
@@ -50,30 +52,36 @@ impl ProposalGenerator for ListedProposals {
 
     /// Without a key the file must be about one image.
     fn proposals(&self, frame: &RgbdFrame, image: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
-        let list = match image {
-            Some(key) => self.images.get(&key),
-            None if self.images.len() > 1 => {
-                let expected = "the masks of one image";
-                let value = format!("of {} images", self.images.len());
-                return Err(FormatError::field(self.path.display(), "list of masks", value, expected).into());
+        if image.is_none() && self.several_images {
+            let expected = "the masks of one image";
+            return Err(FormatError::field(
+                self.path.display(),
+                "list of masks",
+                "of several images",
+                expected,
+            )
+            .into());
+        }
+        let mut list: Vec<ListedMask<'_>> = Vec::new();
+        for mask in self.masks.masks() {
+            match image {
+                Some(key) if mask.dataset_image()? != key => {}
+                _ => list.push(mask),
             }
-            None => self.images.values().next(),
-        };
+        }
+        list.sort_by(|a, b| b.score().total_cmp(&a.score()));
+        let size = (frame.width(), frame.height());
         let mut proposals = Vec::new();
-        for detection in list.into_iter().flatten().take(MAX_PROPOSALS) {
-            let mask = detection.segmentation.decode().map_err(|e| e.within(self.path.display()))?;
-            if (mask.width, mask.height) != (frame.width(), frame.height()) {
-                let place = format!(
-                    "{}: scene {} image {}",
-                    self.path.display(),
-                    detection.scene_id,
-                    detection.image_id
-                );
-                let value = format!("{} x {}", mask.width, mask.height);
-                let expected = format!("that of the image, {} x {}", frame.width(), frame.height());
-                return Err(FormatError::field(place, "mask size", value, expected).into());
+        for mask in list.into_iter().take(MAX_PROPOSALS) {
+            let rle = mask.rle(Some(size))?;
+            let [height, width] = rle.size;
+            if (width, height) != size {
+                let expected = format!("that of the image, {} x {}", size.0, size.1);
+                let value = format!("{width} x {height}");
+                return Err(FormatError::field(mask.place(), "mask size", value, expected).into());
             }
-            proposals.extend(Proposal::new(mask, detection.score as f32));
+            let decoded = rle.decode().map_err(|e| e.within(mask.place()))?;
+            proposals.extend(Proposal::new(decoded, mask.score() as f32));
         }
         Ok(proposals)
     }
@@ -85,7 +93,7 @@ mod tests {
         frame::{DepthMap, Mask},
         geometry::Intrinsics,
     };
-    use unopose_dataset::formats::detections::write_detections;
+    use unopose_dataset::formats::detections::{Detection, write_detections};
 
     use super::*;
 
@@ -117,6 +125,17 @@ mod tests {
         write_detections(&path, &list[..1]).unwrap();
         let changed = ListedProposals::read(&path).unwrap();
         assert!(changed.name() == listed.name() && changed.fingerprint() != listed.fingerprint());
+        // Without ids, as Segment Anything writes them: masks of one image, but of no image of a dataset.
+        let sam = r#"[{"segmentation": {"size": [2, 4], "counts": [5, 1, 2]}, "predicted_iou": 0.9, "bbox": [2, 1, 1, 1]},
+            {"segmentation": [[1, 0, 4, 0, 4, 1, 1, 1]], "predicted_iou": 0.95, "bbox": [1, 0, 3, 1]}]"#;
+        let sam_path = folder.path().join("sam.json");
+        std::fs::write(&sam_path, sam).unwrap();
+        let sam = ListedProposals::read(&sam_path).unwrap();
+        let found = sam.proposals(&frame, None).unwrap();
+        let pixels = found.iter().map(|p| p.mask.pixels().collect::<Vec<_>>()).collect::<Vec<_>>();
+        assert_eq!(pixels, [vec![(1, 0), (2, 0), (3, 0)], vec![(2, 1)]]);
+        let message = sam.proposals(&frame, Some((1, 2))).unwrap_err().to_string();
+        assert!(message.contains("image_id not found") && message.contains("--proposals"), "{message}");
         let small = RgbdFrame { rgb: image::RgbImage::new(3, 2), ..frame };
         let message = listed.proposals(&small, None).unwrap_err().to_string();
         assert!(message.contains("4 x 2") && message.contains("3 x 2"), "{message}");

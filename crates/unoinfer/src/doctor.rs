@@ -6,12 +6,15 @@ use anyhow::{Context, bail};
 use clap::Args;
 use serde_json::{Value, json};
 use unopose_core::{config::Config, frame::MaskedView};
+use unopose_dataset::formats::{FormatError, image_io::MaskValue};
 use unopose_doctor::{
     Check, Expected, Finding, Level, MaskedObject, Sampling, bar_length, examine_dataset, findings,
     frame_findings, pair_finding, quick_findings, write_picture,
 };
 use unopose_eval::report::Table;
-use unopose_infer::{View, ViewFiles, query_folder};
+use unopose_infer::{View, ViewFiles, ViewRole, query_folder};
+
+use super::options::{CameraOptions, MaskOptions};
 
 /// Findings of every check that a dataset's report lists.
 const LISTED: usize = 3;
@@ -39,9 +42,18 @@ pub struct DoctorArguments {
     /// Mask of the object in the reference
     #[arg(long, value_name = "FILE", requires = "reference_rgb")]
     reference_mask: Option<PathBuf>,
-    /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
+    /// Camera: JSON with cam_K (9 numbers) or fx, fy, cx, cy, and depth_scale (millimetres per depth unit); camera_info of ROS
+    /// (YAML); intrinsics of RealSense, Open3D or OpenCV; a text of 3 x 3 numbers. Lens distortion (plumb_bob,
+    /// rational_polynomial) is undone
     #[arg(long, value_name = "JSON")]
     camera: Option<PathBuf>,
+    #[command(flatten)]
+    cameras: CameraOptions,
+    #[command(flatten)]
+    masks: MaskOptions,
+    /// Value or colour of the object in --reference-mask, where it is another one [default: --mask-value]
+    #[arg(long, value_name = "N")]
+    reference_mask_value: Option<MaskValue>,
     /// Camera of the reference [default: --camera]
     #[arg(long, value_name = "JSON", requires = "camera")]
     reference_camera: Option<PathBuf>,
@@ -90,8 +102,11 @@ fn examine_views(arguments: &DoctorArguments, points: [usize; 2]) -> anyhow::Res
                     .or(arguments.camera.as_ref())
                     .context("--camera is missing")?
                     .clone(),
+                depth_scale: arguments.cameras.depth_scale,
             };
-            examine_view("reference", &files, points[0], None, &mut wrong)
+            let value = arguments.reference_mask_value.or(arguments.masks.mask_value);
+            let view = files.read_as(ViewRole::Reference, value);
+            examine_view("reference", (&files, view), points[0], None, &mut wrong)
         }
         None => None,
     };
@@ -105,7 +120,8 @@ fn examine_views(arguments: &DoctorArguments, points: [usize; 2]) -> anyhow::Res
     }
     for (name, files) in &queries {
         let title = name.as_ref().map_or_else(|| "query".into(), |name| format!("query {name}"));
-        let query = examine_view(&title, files, points[1], object.as_ref(), &mut wrong);
+        let view = files.read_as(ViewRole::Query, arguments.masks.mask_value);
+        let query = examine_view(&title, (files, view), points[1], object.as_ref(), &mut wrong);
         let out = name.as_ref().map_or_else(|| arguments.out.clone(), |name| arguments.out.join(name));
         picture(&out, reference.as_ref(), query.as_ref())?;
     }
@@ -115,19 +131,25 @@ fn examine_views(arguments: &DoctorArguments, points: [usize; 2]) -> anyhow::Res
 fn queries(arguments: &DoctorArguments) -> anyhow::Result<Vec<(Option<String>, ViewFiles)>> {
     let camera = || arguments.camera.clone().context("--camera is missing");
     if let Some(folder) = &arguments.query_dir {
-        let views = query_folder(folder, &camera()?)?;
+        let views = query_folder(folder, &camera()?, arguments.cameras.depth_scale)?;
         return Ok(views.into_iter().map(|(name, files)| (Some(name), files)).collect());
     }
     let Some(rgb) = arguments.query_rgb.clone() else { return Ok(Vec::new()) };
     let depth = arguments.query_depth.clone().context("--query-depth is missing")?;
-    let files = ViewFiles { rgb, depth, masks: arguments.query_mask.clone(), camera: camera()? };
+    let files = ViewFiles {
+        rgb,
+        depth,
+        masks: arguments.query_mask.clone(),
+        camera: camera()?,
+        depth_scale: arguments.cameras.depth_scale,
+    };
     Ok(vec![(None, files)])
 }
 
-/// Reads a view and prints what there is to say about it; what is wrong is added to `wrong`.
+/// Prints what there is to say about it; what is wrong is added to `wrong`.
 fn examine_view(
     title: &str,
-    files: &ViewFiles,
+    (files, view): (&ViewFiles, Result<View, FormatError>),
     points: usize,
     reference: Option<&MaskedObject>,
     wrong: &mut Vec<String>,
@@ -141,7 +163,7 @@ fn examine_view(
             }
         }
     };
-    let view = match files.read() {
+    let view = match view {
         Ok(view) => view,
         Err(error) => {
             let finding = Finding::new(Check::Images, Level::Wrong, unopose_core::explain(&error));

@@ -18,7 +18,7 @@ use unopose_segment::AnyMatcher;
 use super::{
     doctor::{Warning, warnings},
     mask_finder::MaskFinder,
-    options::{EstimatorOptions, MaskOptions},
+    options::{CameraOptions, EstimatorOptions, MaskOptions},
     progress::ProgressDisplay,
     proposals::ProposalOptions,
 };
@@ -77,12 +77,16 @@ pub struct EstimateArguments {
     /// Keep the prepared and encoded reference for later queries
     #[arg(long, value_name = "FILE", conflicts_with = "reference")]
     save_reference: Option<PathBuf>,
-    /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
-    #[arg(long, value_name = "JSON")]
+    /// Camera: JSON with cam_K (9 numbers) or fx, fy, cx, cy, and depth_scale (millimetres per depth unit); camera_info of ROS
+    /// (YAML); intrinsics of RealSense, Open3D or OpenCV; a text of 3 x 3 numbers. Lens distortion (plumb_bob,
+    /// rational_polynomial) is undone
+    #[arg(long, value_name = "FILE")]
     camera: PathBuf,
     /// Camera of the reference [default: --camera]
-    #[arg(long, value_name = "JSON")]
+    #[arg(long, value_name = "FILE")]
     reference_camera: Option<PathBuf>,
+    #[command(flatten)]
+    cameras: CameraOptions,
     /// Folder for pose.json and overlay.png
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -148,6 +152,7 @@ fn reference(
         depth: arguments.reference_depth.clone().context("--reference-depth is missing")?,
         masks: arguments.reference_mask.iter().cloned().collect(),
         camera: arguments.reference_camera.clone().unwrap_or_else(|| arguments.camera.clone()),
+        depth_scale: arguments.cameras.depth_scale,
     };
     let value = arguments.reference_mask_value.or(arguments.masks.mask_value);
     let view = files.read_as(ViewRole::Reference, value)?;
@@ -166,7 +171,7 @@ fn reference(
 /// Names (of a folder's views) and files.
 fn queries(arguments: &EstimateArguments) -> anyhow::Result<Vec<(Option<String>, ViewFiles)>> {
     if let Some(folder) = &arguments.query_dir {
-        let views = query_folder(folder, &arguments.camera)?;
+        let views = query_folder(folder, &arguments.camera, arguments.cameras.depth_scale)?;
         return Ok(views.into_iter().map(|(name, files)| (Some(name), files)).collect());
     }
     let files = ViewFiles {
@@ -174,6 +179,7 @@ fn queries(arguments: &EstimateArguments) -> anyhow::Result<Vec<(Option<String>,
         depth: arguments.query_depth.clone().context("--query-depth is missing")?,
         masks: arguments.query_mask.clone(),
         camera: arguments.camera.clone(),
+        depth_scale: arguments.cameras.depth_scale,
     };
     Ok(vec![(None, files)])
 }

@@ -5,9 +5,27 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use unopose_cli::DeviceOption;
 use unopose_core::config::Precision;
-use unopose_dataset::formats::{DatasetSplits, image_io::MaskValue};
+use unopose_dataset::formats::{DatasetSplits, camera::DEPTH_SCALES, image_io::MaskValue};
 use unopose_infer::{InferError, PoseEstimator, Refinement};
 use unopose_nn::device::DeviceChoice;
+
+/// What camera files of other tools do not say.
+#[derive(Args)]
+pub struct CameraOptions {
+    /// Millimetres per unit of the depth images, for camera files without depth_scale: 1 for millimetres, 0.1 for tenths of
+    /// them, 1000 for metres
+    #[arg(long, value_name = "MM", value_parser = depth_scale)]
+    pub depth_scale: Option<f64>,
+}
+
+fn depth_scale(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(scale) if DEPTH_SCALES.contains(&scale) => Ok(scale),
+        _ => {
+            Err(format!("{text:?}, expected {} to {} millimetres", DEPTH_SCALES.start(), DEPTH_SCALES.end()))
+        }
+    }
+}
 
 /// Which images of a BOP dataset.
 #[derive(Args)]

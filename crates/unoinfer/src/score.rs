@@ -97,7 +97,7 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     let targets = read_annotated_targets(&list, &split)?;
     let place = path.display().to_string();
     let ids: BTreeSet<[u32; 3]> = targets.iter().map(|t| [t.scene_id, t.im_id, t.obj_id]).collect();
-    let detections = read_detections(path)?;
+    let detections = read_detections(path, Some(&split))?;
     let usable = UsableDetections::new(detections.clone(), &split, &ids);
     let unused = UsableDetections::messages(&usable.skipped, &usable.ids);
     let mut all = DetectionScores { input: InputReport::of_detections(&usable), ..Default::default() };

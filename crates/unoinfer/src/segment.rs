@@ -10,7 +10,7 @@ use unopose_core::{
 };
 use unopose_dataset::formats::{
     FormatError,
-    camera::read_camera,
+    camera::read_camera_scaled,
     detections::write_detections,
     image_io::{read_depth_by, read_rgb, write_mask},
 };
@@ -20,7 +20,7 @@ use unopose_segment::{AnyMatcher, Prompt, Proposal};
 
 use super::{
     mask_finder::{MaskFinder, not_found},
-    options::{EstimatorOptions, MaskOptions, SplitOptions},
+    options::{CameraOptions, EstimatorOptions, MaskOptions, SplitOptions},
     proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
 };
@@ -34,8 +34,10 @@ pub struct SegmentArguments {
     /// pfm [default: colour alone]
     #[arg(long, value_name = "FILE", requires = "camera")]
     depth: Option<PathBuf>,
-    /// Camera: {"cam_K": [9 numbers, row-major], "depth_scale": millimetres per depth unit}
-    #[arg(long, value_name = "JSON")]
+    /// Camera: JSON with cam_K (9 numbers) or fx, fy, cx, cy, and depth_scale (millimetres per depth unit); camera_info of ROS
+    /// (YAML); intrinsics of RealSense, Open3D or OpenCV; a text of 3 x 3 numbers. The images
+    /// have to be undistorted ones
+    #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Write the mask of what is at this pixel, to OUT/mask.png
     #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 1, conflicts_with_all = ["box", "dataset"])]
@@ -55,8 +57,10 @@ pub struct SegmentArguments {
     #[command(flatten)]
     masks: MaskOptions,
     /// Camera of the reference [default: --camera]
-    #[arg(long, value_name = "JSON")]
+    #[arg(long, value_name = "FILE")]
     reference_camera: Option<PathBuf>,
+    #[command(flatten)]
+    cameras: CameraOptions,
     /// BOP dataset folder: find the objects of --targets in all their images and score the detections
     #[arg(long, value_name = "DIR", requires = "targets", conflicts_with = "rgb")]
     dataset: Option<PathBuf>,
@@ -137,7 +141,7 @@ fn frame(arguments: &SegmentArguments) -> anyhow::Result<RgbdFrame> {
     let rgb = read_rgb(path)?;
     let (width, height) = rgb.dimensions();
     let camera = match &arguments.camera {
-        Some(path) => Some((path, read_camera(path)?)),
+        Some(path) => Some((path, read_camera_scaled(path, arguments.cameras.depth_scale)?)),
         None => None,
     };
     let depth = match (&arguments.depth, &camera) {
@@ -145,7 +149,12 @@ fn frame(arguments: &SegmentArguments) -> anyhow::Result<RgbdFrame> {
         _ => DepthMap::zeros(width, height),
     };
     if let Some((path, camera)) = &camera {
-        camera.check_size(&path.display().to_string(), (width, height))?;
+        let place = path.display().to_string();
+        camera.check_size(&place, (width, height))?;
+        if camera.undistortion(&place, (width, height))?.is_some() {
+            let expected = "none: the masks are to be those of the image as it is given";
+            return Err(FormatError::field(place, "lens distortion", "one that is not 0", expected).into());
+        }
     }
     if let (Some(path), true) = (&arguments.depth, (depth.width, depth.height) != (width, height)) {
         let size = format!("{} x {}", depth.width, depth.height);
@@ -164,6 +173,7 @@ fn reference_files(arguments: &SegmentArguments) -> Option<ViewFiles> {
         depth: arguments.reference_depth.clone()?,
         masks: vec![arguments.reference_mask.clone()?],
         camera: arguments.reference_camera.clone().or_else(|| arguments.camera.clone())?,
+        depth_scale: arguments.cameras.depth_scale,
     })
 }
 

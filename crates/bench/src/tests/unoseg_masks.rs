@@ -17,7 +17,7 @@ fn unoseg_masks_are_a_table_of_the_page() {
     let list = write_dataset(folder.path());
     let (root, out) = (folder.path().join("ycbv"), folder.path().join("out"));
     // The right mask of one image of two.
-    let found = read_detections(&root.join("dets.json")).unwrap();
+    let found = read_detections(&root.join("dets.json"), None).unwrap();
     let found = &found[..1];
     let targets = [1, 2].map(|im_id| Target { scene_id: 1, im_id, obj_id: 1, inst_count: 1 });
     let seconds: [&[f64]; 2] = [&[0.5, 1.5], &[0.25, 0.25]];

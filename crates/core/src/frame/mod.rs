@@ -2,9 +2,11 @@
 
 mod depth;
 mod mask;
+mod undistortion;
 
 pub use depth::DepthMap;
 pub use mask::{BoundingBox, Mask};
+pub use undistortion::Undistortion;
 
 use crate::geometry::Intrinsics;
 
@@ -28,6 +30,11 @@ impl RgbdFrame {
     /// Rows of the colour image.
     pub fn height(&self) -> u32 {
         self.rgb.height()
+    }
+
+    /// The frame as the pinhole camera would have taken it, without what the lens did.
+    pub fn undistorted(&self, lens: &Undistortion) -> Self {
+        Self { rgb: lens.color(&self.rgb), depth: lens.depth(&self.depth), intrinsics: self.intrinsics }
     }
 
     /// Column, row and depth (metres) of the pixels of a mask that have a measurement, row by row. Pixels of the mask outside

@@ -3,15 +3,20 @@
 //! Both written forms are read: the integer list and the compressed string (five bits per character from
 //! `'0'` on, runs after the third stored as the difference to the run two before).
 
-use std::borrow::Cow;
+use std::{borrow::Cow, fmt};
 
-use serde::{Deserialize, Serialize};
+use serde::{
+    Deserialize, Deserializer, Serialize,
+    de::{SeqAccess, Visitor},
+};
 use unopose_core::frame::Mask;
 
 use super::FormatError;
 
 /// Larger masks are refused instead of allocated.
 const MAX_PIXELS: u64 = 1 << 28;
+/// Most columns or rows of a mask.
+const MAX_SIDE: u32 = 1 << 16;
 
 /// A run-length encoded mask as COCO JSON writes it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,13 +28,43 @@ pub struct Rle {
 }
 
 /// The two forms of run lengths.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
 pub enum Counts {
     /// Alternating lengths of background and foreground runs.
     Runs(Vec<u32>),
     /// The same, compressed.
     Compressed(String),
+}
+
+impl<'de> Deserialize<'de> for Counts {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Forms;
+        impl<'de> Visitor<'de> for Forms {
+            type Value = Counts;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("counts as a list of run lengths or as a compressed string")
+            }
+
+            fn visit_str<E>(self, text: &str) -> Result<Counts, E> {
+                Ok(Counts::Compressed(text.to_owned()))
+            }
+
+            fn visit_string<E>(self, text: String) -> Result<Counts, E> {
+                Ok(Counts::Compressed(text))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Counts, A::Error> {
+                let mut runs = Vec::new();
+                while let Some(run) = list.next_element()? {
+                    runs.push(run);
+                }
+                Ok(Counts::Runs(runs))
+            }
+        }
+        deserializer.deserialize_any(Forms)
+    }
 }
 
 impl Rle {
@@ -43,14 +78,46 @@ impl Rle {
         Self { size: [mask.height, mask.width], counts: Counts::Compressed(compress(&runs_of(mask))) }
     }
 
+    /// Compressed encoding of the union of ranges of column-major positions, which lie inside the mask.
+    pub(crate) fn of_ranges(size: [u32; 2], mut ranges: Vec<[u64; 2]>) -> Self {
+        ranges.sort_unstable();
+        let (mut runs, mut position) = (Vec::new(), 0);
+        let mut current: Option<[u64; 2]> = None;
+        let mut push = |[start, end]: [u64; 2]| {
+            runs.extend([start - position, end - start].map(|length| length as u32));
+            position = end;
+        };
+        for [start, end] in ranges.into_iter().filter(|[start, end]| start < end) {
+            match &mut current {
+                Some(last) if start <= last[1] => last[1] = last[1].max(end),
+                _ => {
+                    current.replace([start, end]).into_iter().for_each(&mut push);
+                }
+            }
+        }
+        current.into_iter().for_each(&mut push);
+        let rest = u64::from(size[0]) * u64::from(size[1]) - position;
+        if rest > 0 || runs.is_empty() {
+            runs.push(rest as u32);
+        }
+        Self { size, counts: Counts::Compressed(compress(&runs)) }
+    }
+
+    /// An error where a mask of this size (height, width) is too large.
+    pub(crate) fn check_size([height, width]: [u32; 2]) -> Result<(), FormatError> {
+        let pixels = u64::from(height) * u64::from(width);
+        if pixels > MAX_PIXELS || height.max(width) > MAX_SIDE {
+            let expected = format!("at most {MAX_PIXELS} pixels, {MAX_SIDE} a side");
+            return Err(FormatError::field("RLE mask", "size", format!("[{height}, {width}]"), expected));
+        }
+        Ok(())
+    }
+
     /// Run lengths, background first; an error when they do not add up to `height * width`.
     pub fn runs(&self) -> Result<Cow<'_, [u32]>, FormatError> {
         let [height, width] = self.size;
+        Self::check_size(self.size)?;
         let pixels = u64::from(height) * u64::from(width);
-        if pixels > MAX_PIXELS {
-            let expected = format!("at most {MAX_PIXELS} pixels");
-            return Err(FormatError::field("RLE mask", "size", format!("[{height}, {width}]"), expected));
-        }
         let runs = match &self.counts {
             Counts::Runs(runs) => Cow::Borrowed(runs.as_slice()),
             Counts::Compressed(text) => Cow::Owned(decompress(text)?),
@@ -212,7 +279,52 @@ mod tests {
                 "{text}"
             );
         }
-        let huge = Rle { size: [u32::MAX, u32::MAX], counts: Counts::Runs(vec![]) };
-        assert!(huge.decode().is_err());
+        for size in [[u32::MAX, u32::MAX], [1_000_000_000, 1_000_000_000], [1, 1 << 17], [20_000, 20_000]] {
+            let huge = Rle { size, counts: Counts::Runs(vec![]) };
+            assert!(huge.decode().unwrap_err().to_string().contains("at most 268435456 pixels"));
+        }
+        for (counts, part) in [
+            ("[3, -1]", "invalid value: integer `-1`, expected u32"),
+            ("[3.5]", "floating point `3.5`, expected u32"),
+            ("{}", "expected counts as a list of run lengths or as a compressed string"),
+        ] {
+            let text = format!(r#"{{"size": [2, 3], "counts": {counts}}}"#);
+            let message = serde_json::from_str::<Rle>(&text).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+
+    #[test]
+    fn ranges_are_united() {
+        let rle = Rle::of_ranges([3, 4], vec![[7, 9], [1, 3], [2, 5], [5, 6], [7, 7]]);
+        assert_eq!(rle.runs().unwrap().as_ref(), [1, 5, 1, 2, 3]);
+        assert_eq!(Rle::of_ranges([3, 4], vec![]).runs().unwrap().as_ref(), [12]);
+        assert_eq!(Rle::of_ranges([3, 4], vec![[0, 12]]).runs().unwrap().as_ref(), [0, 12]);
+    }
+
+    #[test]
+    fn damaged_strings_are_masks_or_errors() {
+        let Counts::Compressed(text) =
+            Rle::encode_compressed(&mask(40, 30, &[(3, 4), (3, 5), (9, 9)])).counts
+        else {
+            panic!("compressed form expected")
+        };
+        let mut state = 5u32;
+        let mut random = |below: usize| {
+            state = state.wrapping_mul(1664525).wrapping_add(1013904223);
+            (state >> 8) as usize % below
+        };
+        for _ in 0..5000 {
+            let mut bytes = text.clone().into_bytes();
+            for _ in 0..1 + random(3) {
+                let at = random(bytes.len());
+                bytes[at] = random(128) as u8;
+            }
+            bytes.truncate(1 + random(bytes.len() + 3));
+            let counts = Counts::Compressed(String::from_utf8(bytes).unwrap());
+            if let Ok(mask) = (Rle { size: [30, 40], counts }).decode() {
+                assert_eq!(mask.data.len(), 1200);
+            }
+        }
     }
 }

@@ -134,13 +134,10 @@ fn camera(path: &Path) -> Result<(Intrinsics, [Option<u32>; 2]), FormatError> {
     let Ok([fx, _, k20, _, fy, k21, cx, cy, k22]) = <[f64; 9]>::try_from(k.as_slice()) else {
         return wrong("9 numbers, column-major");
     };
-    if fx <= 0.0 || fy <= 0.0 {
-        return wrong("focal lengths above 0");
-    }
-    if [k20, k21, k22] != [0.0, 0.0, 1.0] {
-        return wrong("fx, 0, 0, s, fy, 0, cx, cy, 1: column by column");
-    }
-    Ok((Intrinsics { fx, fy, cx, cy }, [w, h]))
+    let rows = [fx, 0.0, cx, 0.0, fy, cy, k20, k21, k22];
+    let intrinsics = Intrinsics::from_cam_k(&rows)
+        .map_err(|source| FormatError::Intrinsics { place: path.display().to_string(), source })?;
+    Ok((intrinsics, [w, h]))
 }
 
 /// Files of a folder whose names are numbers.

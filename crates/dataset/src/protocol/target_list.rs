@@ -50,7 +50,7 @@ impl TargetList {
         let mut targets = read_reference_targets(&files.targets)?;
         targets.truncate(files.limit.unwrap_or(usize::MAX).max(1));
         let place = files.targets.display().to_string();
-        let detections = read_detections(&files.detections)?;
+        let detections = read_detections(&files.detections, Some(&split))?;
         let places = [place, files.detections.display().to_string()];
         Self::new(dataset, split, reference_split, targets, detections, places)
     }

@@ -1,6 +1,6 @@
 //! One image of a shard, whole.
 
-use std::{collections::BTreeMap, path::Path};
+use std::collections::BTreeMap;
 
 use image::RgbImage;
 use unopose_core::frame::{Mask, RgbdFrame};
@@ -65,7 +65,9 @@ impl ShardImage {
     ) -> Result<(AnnotatedFrame, Vec<(usize, InstanceFault)>), FormatError> {
         let Self { records, rgb, depth_png, name } = self;
         let camera = records.camera.check(&name)?;
-        let scale = camera.require_depth_scale(Path::new(&format!("{name}.camera.json")))?;
+        let scale = camera
+            .depth_scale
+            .ok_or_else(|| FormatError::missing(format!("{name}.camera.json"), "depth_scale", ""))?;
         let depth = decode_depth(&depth_png, &format!("{name}.depth.png"), scale)?;
         camera.check_size(&format!("{name}.camera.json"), rgb.dimensions())?;
         if (depth.width, depth.height) != (rgb.width(), rgb.height()) {
@@ -110,7 +112,8 @@ pub(super) fn decode_mask(rle: &Rle, frame: &RgbdFrame, place: &str) -> Result<M
 
 /// Refuses a camera that no depth camera has.
 pub(super) fn check_camera(camera: &CameraRecord, place: &str) -> Result<(), FormatError> {
-    let scale = camera.check(place)?.require_depth_scale(Path::new(place))?;
+    let camera = camera.check(place)?;
+    let scale = camera.depth_scale.ok_or_else(|| FormatError::missing(place, "depth_scale", ""))?;
     if DEPTH_SCALE.contains(&scale) {
         return Ok(());
     }
