@@ -26,6 +26,7 @@ fn options(folder: &Path, name: &str) -> TrainOptions {
         data_root: folder.join("data"),
         init: None,
         fresh: false,
+        reset_optimizer: false,
         time_limit: None,
         stop_at: None,
         device: Device::default(),
