@@ -214,7 +214,12 @@ fn the_best_weights_survive_a_kill_at_any_point() {
     let trained = options(folder.path(), "trained");
     train(&config(&["train.steps=20"]), &trained).unwrap();
     // Fine-tuning that only makes the weights worse.
-    let spoil = config(&["train.steps=8", "train.learning_rate=0.3", "train.warmup_steps=1", "train.validate_every=4"]);
+    let spoil = config(&[
+        "train.steps=8",
+        "train.learning_rate=0.3",
+        "train.warmup_steps=1",
+        "train.validate_every=4",
+    ]);
     let tune = |name: &str| TrainOptions {
         init: Some(trained.out.join("best.safetensors")),
         ..options(folder.path(), name)
@@ -354,7 +359,10 @@ fn a_run_folder_in_use_is_refused_and_a_fresh_start_that_fails_deletes_nothing()
     train(&config, &options).unwrap();
     let files = |run: &Path| -> BTreeMap<_, _> {
         let entries = std::fs::read_dir(run).unwrap().map(|e| e.unwrap().path());
-        entries.filter(|path| path.is_file()).map(|path| (path.clone(), std::fs::read(path).unwrap())).collect()
+        entries
+            .filter(|path| path.is_file())
+            .map(|path| (path.clone(), std::fs::read(path).unwrap()))
+            .collect()
     };
     let before = files(&options.out);
     let fresh = TrainOptions {
