@@ -126,7 +126,8 @@ impl<'a> Run<'a> {
     fn run(mut self) -> Result<TrainOutcome, TrainError> {
         let train = &self.config.train;
         let first_step = self.optimization.step();
-        if self.state.validation_due || (first_step == 0 && self.validated_step.is_none()) {
+        let due = std::mem::take(&mut self.state.validation_due) || first_step == 0;
+        if due && self.validated_step != Some(first_step) {
             self.validate()?;
             self.save()?;
         }

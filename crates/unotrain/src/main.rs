@@ -129,10 +129,13 @@ fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
         observer: Arc::new(ProgressBars::default()),
     };
     let outcome = train(&config, &options)?;
-    let weights = out.join("best.safetensors");
-    print_summary(&outcome, &config, &weights);
-    let interrupted = outcome.stop_reason == StopReason::Interrupted && interrupt.is_requested();
-    let early = interrupted || !weights.exists();
+    let weights = Some(out.join("best.safetensors")).filter(|path| path.exists());
+    print_summary(&outcome, &config, weights.as_deref());
+    let early = match outcome.stop_reason {
+        StopReason::Interrupted => interrupt.is_requested(),
+        StopReason::TimeUp => weights.is_none(),
+        _ => false,
+    };
     Ok(if early { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 
@@ -144,7 +147,7 @@ fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     })
 }
 
-fn print_summary(outcome: &TrainOutcome, config: &Config, weights: &Path) {
+fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>) {
     let step = outcome.step;
     println!(
         "{}",
@@ -172,9 +175,8 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: &Path) {
         ]);
     }
     print!("{table}");
-    if weights.exists() {
-        println!("weights: {}", weights.display());
-    } else {
-        println!("no weights yet; the same command goes on");
+    match weights {
+        Some(path) => println!("weights: {}", path.display()),
+        None => println!("no weights yet; the same command goes on"),
     }
 }
