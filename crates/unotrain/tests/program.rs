@@ -96,7 +96,7 @@ fn mistakes_are_named_and_exit_with_failure() {
 #[test]
 fn a_terminated_run_saves_and_a_second_process_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = unotrain(folder.path(), "run", &["--set", "train.steps=1000000"])
+    let child = unotrain(folder.path(), "run", &["--set", "train.steps=1000000"])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
