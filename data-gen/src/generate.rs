@@ -4,13 +4,16 @@ use std::{
     io::Write as _,
     ops::Range,
     path::{Path, PathBuf},
-    sync::Mutex,
+    sync::{Arc, Mutex},
 };
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use unopose_core::config::{Config, SynthCameraConfig, SynthConfig};
+use unopose_core::{
+    config::{Config, SynthCameraConfig, SynthConfig},
+    interrupt::Interrupt,
+};
 use unopose_dataset::formats::{BopDataset, megapose::ShardDataset};
 use unopose_synth::{GenerationProgress, Stage};
 
@@ -136,11 +139,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let out = arguments.out.as_deref().context("--out is missing")?;
     if arguments.overwrite {
-        unopose_synth::remove_generated(out)?;
+        unopose_synth::remove_generated(&config, out)?;
     }
+    let interrupt = Arc::new(Interrupt::default());
+    interrupt
+        .on_signals(|| eprintln!("finishing the scenes in work; again to leave at once"))
+        .context("cannot handle signals")?;
     let started = std::time::Instant::now();
     let bar = Bar::default();
-    let report = |progress: GenerationProgress| bar.show(progress);
+    let report = |progress: GenerationProgress| {
+        bar.show(&progress);
+        if interrupt.is_requested() {
+            progress.stop();
+        }
+    };
     let summary = match arguments.shards.clone() {
         _ if arguments.format == Format::Bop => unopose_synth::generate_bop(&config, out, &report),
         Some(shards) => unopose_synth::generate_shards(&config, out, shards, &report),
@@ -196,7 +208,7 @@ fn print(text: &str) -> Result<()> {
 struct Bar(Mutex<Option<(Stage, ProgressBar)>>);
 
 impl Bar {
-    fn show(&self, progress: GenerationProgress) {
+    fn show(&self, progress: &GenerationProgress) {
         let mut current = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if current.as_ref().is_none_or(|(stage, _)| *stage != progress.stage) {
             let name = match progress.stage {

@@ -9,10 +9,12 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use unopose_core::{config::MAX_THREADS, explain};
+use unopose_synth::SynthError;
 
 /// Makes synthetic RGB-D images of procedural objects (or of your meshes) in clutter, with exact poses and masks.
 ///
-/// Killing it loses at most the shard being written; the same command continues to the identical set.
+/// Killing it loses at most the shard being written; the same command continues to the identical set. Exit code 4 when a
+/// signal (Ctrl-C, SIGTERM, SIGHUP) ended it.
 #[derive(Parser)]
 #[command(version, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 struct Arguments {
@@ -30,11 +32,18 @@ enum Command {
     Check(check::Arguments),
 }
 
+/// Exit code of a generation that a signal ended.
+const INTERRUPTED: u8 = 4;
+
 fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     match run(Arguments::parse()) {
         Ok(code) => code,
+        Err(error) if matches!(error.downcast_ref(), Some(SynthError::Stopped)) => {
+            eprintln!("interrupted; the same command goes on");
+            ExitCode::from(INTERRUPTED)
+        }
         Err(error) => {
             eprintln!("error: {}", explain(error.as_ref()));
             ExitCode::FAILURE

@@ -1,4 +1,4 @@
-//! Files: written whole or not at all, read only where they have an end.
+//! Files: complete or absent whatever ends the process or the machine, read only where they have an end.
 
 use std::{
     fs::File,
@@ -16,8 +16,12 @@ pub struct FileError {
     pub source: std::io::Error,
 }
 
-/// Writes `path` through a temporary file in the same folder that is renamed when `write` succeeded, so that
-/// no reader ever sees half a file and no killed process leaves one. Missing folders are made.
+/// Start of the names of files and folders that are being written. A killed process leaves them; nothing reads them.
+pub const PART_PREFIX: &str = ".part-";
+
+/// Writes `path` through a temporary file in the same folder that is renamed when `write` succeeded and the content is
+/// on the disk, so that no reader ever sees half a file and neither a killed process nor a power failure leaves one.
+/// Missing folders are made.
 pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&mut File>) -> std::io::Result<()>,
@@ -29,7 +33,7 @@ pub fn write_atomic(
     };
     std::fs::create_dir_all(folder).map_err(with_path)?;
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".part-");
+    builder.prefix(PART_PREFIX);
     // Temporary files are private by default; the result is to be as readable as any other file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -37,7 +41,57 @@ pub fn write_atomic(
     let mut writer = BufWriter::new(file.as_file_mut());
     write(&mut writer).and_then(|()| writer.flush()).map_err(with_path)?;
     drop(writer);
+    file.as_file().sync_all().map_err(with_path)?;
     file.persist(path).map_err(|e| with_path(e.error))?;
+    sync_folder(folder).map_err(with_path)
+}
+
+/// Waits until the names in a folder (renamed, new or removed) are on the disk.
+pub fn sync_folder(folder: &Path) -> std::io::Result<()> {
+    // Elsewhere a folder cannot be opened as a file.
+    #[cfg(unix)]
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        // Some file systems know no such thing, and a folder that may be written need not be readable.
+        Err(e)
+            if !matches!(
+                e.kind(),
+                ErrorKind::InvalidInput | ErrorKind::Unsupported | ErrorKind::PermissionDenied
+            ) =>
+        {
+            return Err(e);
+        }
+        _ => {}
+    }
+    #[cfg(not(unix))]
+    let _ = folder;
+    Ok(())
+}
+
+/// What killed processes left half written in a folder (not below it), sorted; nothing where there is no folder.
+pub fn part_files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let with_path = |source| FileError { path: folder.to_owned(), source };
+    let entries = match std::fs::read_dir(folder) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(with_path)?,
+    };
+    let mut parts = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(with_path)?;
+        if entry.file_name().to_string_lossy().starts_with(PART_PREFIX) {
+            parts.push(entry.path());
+        }
+    }
+    parts.sort();
+    Ok(parts)
+}
+
+/// Removes [`part_files`]. Only for a folder that nobody else writes into.
+pub fn remove_part_files(folder: &Path) -> Result<(), FileError> {
+    for path in part_files(folder)? {
+        let removed =
+            if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        removed.map_err(|source| FileError { path, source })?;
+    }
     Ok(())
 }
 
@@ -125,5 +179,20 @@ mod tests {
         assert!(failed.unwrap_err().to_string().contains("a.json: disk full"));
         assert_eq!(std::fs::read(&path).unwrap(), b"whole");
         assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn only_what_is_half_written_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for name in [".part-abc", "part-of-it.txt", ".hidden"] {
+            std::fs::write(path(name), "x").unwrap();
+        }
+        std::fs::create_dir_all(path(".part-state-3/inner")).unwrap();
+        assert_eq!(part_files(folder.path()).unwrap(), [path(".part-abc"), path(".part-state-3")]);
+        remove_part_files(folder.path()).unwrap();
+        assert!(part_files(folder.path()).unwrap().is_empty());
+        assert!(path("part-of-it.txt").exists() && path(".hidden").exists());
+        assert!(part_files(&path("absent")).unwrap().is_empty());
     }
 }

@@ -3,8 +3,10 @@
 
 pub mod config;
 pub mod files;
+pub mod folder_lock;
 pub mod frame;
 pub mod geometry;
+pub mod interrupt;
 mod message;
 pub mod simd;
 

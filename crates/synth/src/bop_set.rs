@@ -7,7 +7,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use unopose_core::{config::SynthConfig, files::write_atomic, frame::RgbdFrame};
+use unopose_core::{config::SynthConfig, files::write_atomic, folder_lock::FolderLock, frame::RgbdFrame};
 use unopose_dataset::{
     formats::{
         ModelInfo,
@@ -19,27 +19,31 @@ use unopose_dataset::{
 
 use super::{
     SynthError, bop_lists,
-    folder::{Layout, check, reserve},
+    folder::{Layout, check, remove_parts, reserve},
     models::write_models,
     object::SynthObject,
     object_cache::ObjectCache,
-    progress::{GenerationProgress, GenerationSummary, Stage},
+    progress::{GenerationProgress, GenerationSummary, Reporter, Stage},
     shard::{self, Image},
 };
 
 /// Millimetres per unit of the depth images.
 const DEPTH_SCALE: f64 = 0.1;
 
-/// Makes `config.images` test images in BOP's layout below `out`. Finished scenes of an earlier run are kept.
+/// Makes `config.images` test images in BOP's layout below `out`. Finished scenes of an earlier run are kept. Refuses a
+/// folder that another process fills.
 pub fn generate_bop(
     config: &SynthConfig,
     out: &Path,
     progress: &(dyn Fn(GenerationProgress) + Sync),
 ) -> Result<GenerationSummary, SynthError> {
     check(config)?;
+    let _lock = FolderLock::exclusive(out)?;
     reserve(config, out, Layout::Scenes)?;
+    remove_parts(out)?;
+    let reporter = Reporter::new(progress);
     let mut cache = ObjectCache::new(config)?;
-    write_models(config, out, "synth", &mut cache, progress)?;
+    write_models(config, out, "synth", &mut cache, &reporter)?;
     let assets = cache.scene_assets(config, 0)?;
     let infos = write_eval_models(out, &assets.objects)?;
     let split = out.join("test");
@@ -48,6 +52,7 @@ pub fn generate_bop(
     let made: Vec<Result<usize, SynthError>> = (0..scenes)
         .into_par_iter()
         .map(|k| {
+            reporter.go_on()?;
             // BOP counts scenes from 1.
             let scene_id = k as u32 + 1;
             let mut images = 0;
@@ -57,7 +62,7 @@ pub fn generate_bop(
                 write_scene(&split, scene_id, made)?;
             }
             let done = done.fetch_add(config.views_per_scene, Ordering::Relaxed) + config.views_per_scene;
-            progress(GenerationProgress { stage: Stage::Images, done: done.min(total), total });
+            reporter.report(Stage::Images, done.min(total), total);
             Ok(images)
         })
         .collect();

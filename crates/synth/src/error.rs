@@ -2,7 +2,7 @@
 
 use std::{ops::Range, path::PathBuf};
 
-use unopose_core::{config::ConfigError, files::FileError};
+use unopose_core::{config::ConfigError, files::FileError, folder_lock::LockError};
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
 
 /// Why data cannot be generated or checked.
@@ -12,6 +12,12 @@ pub enum SynthError {
     /// A file cannot be written atomically.
     #[error(transparent)]
     Write(#[from] FileError),
+    /// Another process fills the folder.
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    /// The caller asked to stop; what is finished is kept.
+    #[error("stopped before the set was complete")]
+    Stopped,
     /// A file of a set is malformed or cannot be read or written.
     #[error(transparent)]
     Format(#[from] FormatError),

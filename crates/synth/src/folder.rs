@@ -1,14 +1,18 @@
 //! Which configuration a folder belongs to, and what in it was generated.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use unopose_core::config::SynthConfig;
+use unopose_core::{
+    config::SynthConfig,
+    files::{FileError, part_files, remove_part_files},
+    folder_lock::FolderLock,
+};
 use unopose_dataset::formats::{
     FormatError,
     files::{read_json, write_json},
 };
 
-use super::SynthError;
+use super::{SynthError, object_cache::ObjectCache};
 
 /// The configuration of a generated folder.
 const CONFIG_FILE: &str = "generation.json";
@@ -90,15 +94,47 @@ pub(super) fn generated_by(out: &Path) -> Result<Option<SynthConfig>, FormatErro
     Ok(read(&file)?.map(|(config, _)| config))
 }
 
-/// Removes what a generation writes into a folder and nothing else.
-pub fn remove_generated(out: &Path) -> Result<(), SynthError> {
+/// The folders that a generation writes files into: `out`, those of models and shards, and those of every BOP scene.
+fn written_folders(out: &Path) -> Vec<PathBuf> {
+    let subfolders = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+        let folders = entries.filter(|e| e.file_type().is_ok_and(|kind| kind.is_dir()));
+        folders.map(|e| e.path()).collect::<Vec<_>>()
+    };
+    let mut folders = vec![out.to_owned()];
+    folders.extend([Layout::Shards.images(), "models", "models_eval"].map(|name| out.join(name)));
+    for scene in subfolders(&out.join(Layout::Scenes.images())) {
+        folders.extend(subfolders(&scene));
+        folders.push(scene);
+    }
+    folders
+}
+
+/// Files that killed generations left half written in a set.
+pub(super) fn parts_of(out: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let parts: Vec<_> =
+        written_folders(out).iter().map(|folder| part_files(folder)).collect::<Result<_, _>>()?;
+    Ok(parts.concat())
+}
+
+/// Removes [`parts_of`] a set that nobody else fills.
+pub(super) fn remove_parts(out: &Path) -> Result<(), FileError> {
+    written_folders(out).iter().try_for_each(|folder| remove_part_files(folder))
+}
+
+/// Removes what a generation writes into a folder and nothing else, once images can be made of `config` to take its
+/// place. Refuses a folder that another process fills.
+pub fn remove_generated(config: &SynthConfig, out: &Path) -> Result<(), SynthError> {
     let error = |path: &Path| {
         let path = path.to_owned();
         move |source| SynthError::Io { path, source }
     };
+    check(config)?;
+    ObjectCache::new(config)?;
     if !out.is_dir() {
         return Ok(());
     }
+    let _lock = FolderLock::exclusive(out)?;
     for folder in [Layout::Shards.images(), Layout::Scenes.images(), "models", "models_eval"] {
         let folder = out.join(folder);
         if folder.is_dir() {
@@ -118,7 +154,7 @@ pub fn remove_generated(out: &Path) -> Result<(), SynthError> {
             std::fs::remove_file(&path).map_err(error(&path))?;
         }
     }
-    Ok(())
+    Ok(remove_parts(out)?)
 }
 
 fn write_config(config: &SynthConfig, file: &Path) -> Result<(), SynthError> {

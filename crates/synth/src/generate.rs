@@ -6,15 +6,15 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use unopose_core::config::SynthConfig;
+use unopose_core::{config::SynthConfig, folder_lock::FolderLock};
 use unopose_dataset::formats::megapose::{ShardDataset, ShardWriter, shard_file_name, write_index_files};
 
 use super::{
     SynthError,
-    folder::{Layout, check, reserve},
+    folder::{Layout, check, remove_parts, reserve},
     models::write_models,
     object_cache::ObjectCache,
-    progress::{GenerationProgress, GenerationSummary, Stage},
+    progress::{GenerationProgress, GenerationSummary, Reporter, Stage},
     shard,
 };
 
@@ -22,18 +22,21 @@ use super::{
 const SET_NAME: &str = "gso";
 
 /// Makes the whole set in `out`: shards, models, index files. Finished shards of an earlier run are kept, so that a
-/// killed run can be resumed. `progress` is called from several threads.
+/// killed run can be resumed. `progress` is called from several threads. Refuses a folder that another process fills.
 pub fn generate(
     config: &SynthConfig,
     out: &Path,
     progress: &(dyn Fn(GenerationProgress) + Sync),
 ) -> Result<GenerationSummary, SynthError> {
     check(config)?;
+    let _lock = FolderLock::exclusive(out)?;
     reserve(config, out, Layout::Shards)?;
+    remove_parts(out)?;
+    let reporter = Reporter::new(progress);
     let mut cache = ObjectCache::new(config)?;
-    write_models(config, out, SET_NAME, &mut cache, progress)?;
+    write_models(config, out, SET_NAME, &mut cache, &reporter)?;
     let shards = config.images.div_ceil(config.images_per_shard.max(1)) as u32;
-    let summary = make_shards(config, out, 0..shards, &mut cache, progress)?;
+    let summary = make_shards(config, out, 0..shards, &mut cache, &reporter)?;
     let index = out.join(format!("megapose_{SET_NAME}_fixed_obj_id_to_visib0_8_scene_im_inst_ids.json"));
     if summary.shards_written > 0 || !index.is_file() {
         remove_index_files(out)?;
@@ -51,8 +54,10 @@ pub fn generate_shards(
     progress: &(dyn Fn(GenerationProgress) + Sync),
 ) -> Result<GenerationSummary, SynthError> {
     check(config)?;
+    // Others make other shards meanwhile; every shard is written whole.
+    let _lock = FolderLock::shared(out)?;
     reserve(config, out, Layout::Shards)?;
-    make_shards(config, out, shards, &mut ObjectCache::new(config)?, progress)
+    make_shards(config, out, shards, &mut ObjectCache::new(config)?, &Reporter::new(progress))
 }
 
 fn make_shards(
@@ -60,7 +65,7 @@ fn make_shards(
     out: &Path,
     shards: Range<u32>,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(GenerationProgress) + Sync),
+    reporter: &Reporter,
 ) -> Result<GenerationSummary, SynthError> {
     let per_shard = config.images_per_shard;
     let images_in = |shard: u32| (config.images.saturating_sub(shard as usize * per_shard)).min(per_shard);
@@ -72,7 +77,7 @@ fn make_shards(
     let done = AtomicUsize::new(0);
     let report = |finished: usize| {
         let done = done.fetch_add(finished, Ordering::Relaxed) + finished;
-        progress(GenerationProgress { stage: Stage::Images, done, total });
+        reporter.report(Stage::Images, done, total);
     };
     let mut summary = GenerationSummary::default();
     for shard in shards {
@@ -83,9 +88,10 @@ fn make_shards(
             report(images);
             continue;
         }
+        reporter.go_on()?;
         let assets = cache.scene_assets(config, shard)?;
         let mut writer = ShardWriter::default();
-        for image in shard::encode_shard(config, &assets, shard, images, &report)? {
+        for image in shard::encode_shard(config, &assets, shard, images, reporter, &report)? {
             writer.push(image);
         }
         writer.write(&path)?;

@@ -17,7 +17,7 @@ use super::{
     SynthError,
     object::SynthObject,
     object_cache::ObjectCache,
-    progress::{GenerationProgress, Stage},
+    progress::{Reporter, Stage},
 };
 
 /// One entry of the models list.
@@ -33,7 +33,7 @@ pub(super) fn write_models(
     out: &Path,
     set: &str,
     cache: &mut ObjectCache,
-    progress: &(dyn Fn(GenerationProgress) + Sync),
+    reporter: &Reporter,
 ) -> Result<(), SynthError> {
     let (folder, names_file) = (out.join("models"), out.join(format!("{set}_models.json")));
     let info_file = folder.join("models_info.json");
@@ -43,12 +43,13 @@ pub(super) fn write_models(
     let (done, total) = (AtomicUsize::new(0), config.objects);
     let report = || {
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-        progress(GenerationProgress { stage: Stage::Objects, done, total });
+        reporter.report(Stage::Objects, done, total);
     };
     let mut names = Vec::new();
     let mut infos = BTreeMap::new();
     let ids: Vec<u32> = (1..=config.objects as u32).collect();
     for chunk in ids.chunks(config.objects_per_shard) {
+        reporter.go_on()?;
         let objects = cache.get(chunk, &report)?;
         let written: Vec<Result<ModelInfo, SynthError>> = objects
             .par_iter()

@@ -15,6 +15,7 @@ use unopose_dataset::{
 
 use super::{
     SynthError, color_camera,
+    progress::Reporter,
     random::{Domain, Draw, stream},
     scene::{self, Arrangement, SceneAssets},
     sensor::DepthSensor,
@@ -38,17 +39,20 @@ pub(super) fn scene_count(config: &SynthConfig, images: usize) -> usize {
     images.div_ceil(config.views_per_scene.max(1))
 }
 
-/// Encoded images of a shard; `done` is called after every finished scene with its number of images.
+/// Encoded images of a shard; `done` is called after every finished scene with its number of images. No scene begins once
+/// `reporter` was told to stop.
 pub(super) fn encode_shard(
     config: &SynthConfig,
     assets: &SceneAssets,
     shard: u32,
     images: usize,
+    reporter: &Reporter,
     done: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<EncodedImage>, SynthError> {
     let scenes: Vec<Result<Vec<EncodedImage>, SynthError>> = (0..scene_count(config, images))
         .into_par_iter()
         .map(|k| {
+            reporter.go_on()?;
             let made = images_of_scene(config, assets, shard, k, images);
             let encoded = made
                 .iter()

@@ -2,23 +2,28 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    ops::ControlFlow,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
 };
 
-use unopose_core::config::{Config, SynthConfig};
+use unopose_core::{
+    config::{Config, SynthConfig},
+    folder_lock::LockError,
+};
 use unopose_dataset::{
     formats::{megapose::ShardDataset, models::read_models_info},
     mesh,
 };
 use unopose_eval::eval::EvalObject;
 use unopose_pairs::data::PairSampler;
-use unopose_synth::Stage;
+use unopose_synth::{Stage, SynthError};
 
 use super::{
     TrainError,
     observer::{Phase, PhaseExtent, TrainObserver},
-    options::TrainOptions,
+    options::{StopReason, TrainOptions},
     validation::Validation,
 };
 
@@ -35,23 +40,44 @@ pub struct Datasets {
 
 impl Datasets {
     /// Opens the configured folders. Where none is configured, opens `<data_root>/<name>/train` or `/val`, generated
-    /// first as far as it is not there; `None` when the run was interrupted meanwhile.
-    pub fn open_or_generate(config: &Config, options: &TrainOptions) -> Result<Option<Self>, TrainError> {
+    /// first as far as it is not there; breaks when the run was interrupted or its time, counted from `start`, ended
+    /// meanwhile.
+    pub fn open_or_generate(
+        config: &Config,
+        options: &TrainOptions,
+        start: Instant,
+    ) -> Result<ControlFlow<StopReason, Self>, TrainError> {
         let root = options.data_root.join(&config.name);
-        let folder = |given: &Option<PathBuf>, name: &str, synth: SynthConfig, phases| match given {
-            Some(folder) => Ok(folder.clone()),
-            None => generate(&synth, root.join(name), phases, &*options.observer),
+        let stop = || {
+            let late = options.time_limit.is_some_and(|limit| start.elapsed() >= limit);
+            let reasons =
+                [(options.interrupt.is_requested(), StopReason::Interrupted), (late, StopReason::TimeUp)];
+            reasons.into_iter().find_map(|(holds, reason)| holds.then_some(reason))
         };
-        let phases = [Phase::TrainingModels, Phase::TrainingImages];
-        let training = folder(&config.data.train, "train", config.synth.clone(), phases)?;
-        if options.interrupt.is_requested() {
-            return Ok(None);
-        }
-        let synth = validation_synth(config);
-        let phases = [Phase::ValidationModels, Phase::ValidationImages];
-        let validation_folder = folder(&config.data.validation, "val", synth, phases)?;
-        if options.interrupt.is_requested() {
-            return Ok(None);
+        let sets = [
+            (
+                &config.data.train,
+                "train",
+                config.synth.clone(),
+                [Phase::TrainingModels, Phase::TrainingImages],
+            ),
+            (
+                &config.data.validation,
+                "val",
+                validation_synth(config),
+                [Phase::ValidationModels, Phase::ValidationImages],
+            ),
+        ];
+        let mut folders = Vec::new();
+        for (given, name, synth, phases) in sets {
+            let folder = given.clone().unwrap_or_else(|| root.join(name));
+            if given.is_none() {
+                generate(&synth, &folder, phases, &*options.observer, &|| stop().is_some())?;
+            }
+            if let Some(reason) = stop() {
+                return Ok(ControlFlow::Break(reason));
+            }
+            folders.push(folder);
         }
         let open = |folder: &Path| -> Result<Arc<ShardDataset>, TrainError> {
             let dataset = ShardDataset::open(folder)?;
@@ -60,11 +86,9 @@ impl Datasets {
             }
             Ok(Arc::new(dataset))
         };
-        Ok(Some(Self {
-            training: open(&training)?,
-            validation: open(&validation_folder)?,
-            validation_folder,
-        }))
+        let [training, validation] = [open(&folders[0])?, open(&folders[1])?];
+        let validation_folder = folders.swap_remove(1);
+        Ok(ControlFlow::Continue(Self { training, validation, validation_folder }))
     }
 
     /// The stream of training pairs.
@@ -112,27 +136,51 @@ fn validation_synth(config: &Config) -> SynthConfig {
     }
 }
 
-/// Fills `folder`; `phases` are those of its objects and of its images.
+/// How often a folder that another process fills is tried again.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// Fills `folder` until it is complete or `stop` says so; `phases` are those of its objects and of its images. Waits for
+/// another process that fills it.
 fn generate(
     config: &SynthConfig,
-    folder: PathBuf,
+    folder: &Path,
     phases: [Phase; 2],
     observer: &dyn TrainObserver,
-) -> Result<PathBuf, TrainError> {
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<(), TrainError> {
     let begun = Mutex::new([false; 2]);
-    unopose_synth::generate(config, &folder, &|state| {
-        let mut begun = begun.lock().unwrap_or_else(PoisonError::into_inner);
-        let (index, note) = match state.stage {
-            Stage::Objects => (0, "models"),
-            Stage::Images => (1, "images"),
-        };
-        if !std::mem::replace(&mut begun[index], true) {
-            let first = state.done.saturating_sub(1) as u64;
-            observer.begin(phases[index], PhaseExtent::new(first, state.total as u64));
+    let mut told = false;
+    loop {
+        let generated = unopose_synth::generate(config, folder, &|state| {
+            let mut begun = begun.lock().unwrap_or_else(PoisonError::into_inner);
+            let (index, note) = match state.stage {
+                Stage::Objects => (0, "models"),
+                Stage::Images => (1, "images"),
+            };
+            if !std::mem::replace(&mut begun[index], true) {
+                let first = state.done.saturating_sub(1) as u64;
+                observer.begin(phases[index], PhaseExtent::new(first, state.total as u64));
+            }
+            observer.advance(phases[index], state.done as u64, note);
+            if stop() {
+                state.stop();
+            }
+        });
+        match generated {
+            Err(SynthError::Lock(held @ LockError::Held { .. })) => {
+                if !std::mem::replace(&mut told, true) {
+                    observer.line(&format!("waiting for the data: {held}"));
+                }
+                if stop() {
+                    break;
+                }
+                std::thread::sleep(RETRY);
+            }
+            Ok(_) | Err(SynthError::Stopped) => break,
+            Err(error) => return Err(error.into()),
         }
-        observer.advance(phases[index], state.done as u64, note);
-    })?;
+    }
     let begun = begun.into_inner().unwrap_or_else(PoisonError::into_inner);
     phases.iter().zip(begun).filter(|(_, begun)| *begun).for_each(|(phase, _)| observer.end(*phase));
-    Ok(folder)
+    Ok(())
 }

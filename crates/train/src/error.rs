@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use unopose_core::{config::ConfigError, files::FileError};
+use unopose_core::{config::ConfigError, files::FileError, folder_lock::LockError};
 use unopose_dataset::{formats::FormatError, mesh::MeshError};
 use unopose_eval::report::ReportError;
 use unopose_infer::InferError;
@@ -25,6 +25,9 @@ pub enum TrainError {
     /// A file cannot be written atomically.
     #[error(transparent)]
     Write(#[from] FileError),
+    /// Another process trains in the run folder.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// A data set or its model list is malformed.
     #[error(transparent)]
     Format(#[from] FormatError),
@@ -55,7 +58,7 @@ pub enum TrainError {
     /// The saved state of a run is damaged or cannot be encoded.
     #[error("{}: {message}", path.display())]
     State {
-        /// `last.safetensors` or the file of the optimizer's moments.
+        /// `last.safetensors` or a file of the state folder.
         path: PathBuf,
         /// What is wrong with it.
         message: String,

@@ -1,29 +1,30 @@
 //! The run folder before training.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use unopose_core::{config::Config, files::write_atomic};
 use unopose_nn::checkpoint;
 
-use super::{TrainError, options::TrainOptions, state};
+use super::{TrainError, best::best_path, state};
 
-/// Makes the folder, refuses a run of another network in it, writes the resolved configuration.
-pub fn prepare(config: &Config, options: &TrainOptions) -> Result<(), TrainError> {
-    let out = &options.out;
-    let io = |source| TrainError::Io { path: out.clone(), source };
-    fs::create_dir_all(out).map_err(io)?;
-    if options.fresh {
-        state::clear(out).map_err(io)?;
-    }
-    let last = state::last_path(out);
-    if last.exists() {
-        let earlier = checkpoint::read_config(&last)?;
+/// Refuses a folder with weights of another network.
+pub fn require_same_network(config: &Config, out: &Path) -> Result<(), TrainError> {
+    for path in [state::last_path(out), best_path(out)] {
+        if !path.exists() {
+            continue;
+        }
+        let earlier = checkpoint::read_config(&path)?;
         if let Some((field, theirs, ours)) =
             checkpoint::differences(&earlier.model, &config.model).into_iter().next()
         {
-            return Err(TrainError::OtherModel { path: last, field, theirs, ours });
+            return Err(TrainError::OtherModel { path, field, theirs, ours });
         }
     }
+    Ok(())
+}
+
+/// Writes the resolved configuration.
+pub fn write_config(config: &Config, out: &Path) -> Result<(), TrainError> {
     let text = config.to_toml()?;
     Ok(write_atomic(&out.join("config.toml"), |writer| std::io::Write::write_all(writer, text.as_bytes()))?)
 }

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{File, OpenOptions},
-    io::{BufWriter, Write},
+    io::{ErrorKind, Write},
     path::{Path, PathBuf},
 };
 
@@ -100,44 +100,72 @@ impl ValidationRecord {
 /// Appends events to the file.
 pub struct Journal {
     path: PathBuf,
-    writer: BufWriter<File>,
+    file: File,
+    /// Bytes of the whole lines in the file.
+    length: u64,
 }
 
 impl Journal {
-    /// Opens the journal of a run that resumes after `step`: later lines and a torn last line are dropped. Returns
+    /// Opens the journal of a run that resumes at `step`, or begins anew: later lines and torn ones are dropped. Returns
     /// the events that remain.
-    pub fn open(path: &Path, step: u64) -> Result<(Self, Vec<Event>), TrainError> {
+    pub fn open(path: &Path, step: Option<u64>) -> Result<(Self, Vec<Event>), TrainError> {
         let io = |source| TrainError::Io { path: path.to_owned(), source };
         let mut events = Self::read(path)?;
-        events.retain(|event| event.step() <= step);
-        write_atomic(path, |writer| {
-            events.iter().try_for_each(|event| {
-                serde_json::to_writer(&mut *writer, event)?;
-                writer.write_all(b"\n")
-            })
-        })?;
+        events.retain(|event| step.is_some_and(|step| event.step() <= step));
+        write_atomic(path, |writer| events.iter().try_for_each(|event| writer.write_all(&line(event)?)))?;
         let file = OpenOptions::new().append(true).open(path).map_err(io)?;
-        Ok((Self { path: path.to_owned(), writer: BufWriter::new(file) }, events))
+        let length = file.metadata().map_err(io)?.len();
+        Ok((Self { path: path.to_owned(), file, length }, events))
     }
 
-    /// All complete lines; none when there is no file.
+    /// All complete lines, with a warning about others; none when there is no file.
     pub fn read(path: &Path) -> Result<Vec<Event>, TrainError> {
-        if !path.exists() {
-            return Ok(Vec::new());
+        let content = match std::fs::read(path) {
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            content => content.map_err(|source| TrainError::Io { path: path.to_owned(), source })?,
+        };
+        let lines: Vec<&[u8]> = content.split(|&b| b == b'\n').collect();
+        let (mut events, mut unreadable) = (Vec::new(), Vec::new());
+        for (index, line) in lines.iter().enumerate().filter(|(_, line)| !line.is_empty()) {
+            match serde_json::from_slice(line) {
+                Ok(event) => events.push(event),
+                Err(_) => unreadable.push(index + 1),
+            }
         }
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
-        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+        if let Some(first) = unreadable.first() {
+            let (path, count) = (path.display(), unreadable.len());
+            tracing::warn!(
+                "{path}: {count} lines cannot be read and are left out, the first is line {first}"
+            );
+        }
+        Ok(events)
     }
 
-    /// Writes an event and flushes it to the file.
+    /// Writes an event as a whole line, or nothing of it.
     pub fn append(&mut self, event: &Event) -> Result<(), TrainError> {
-        let written = serde_json::to_writer(&mut self.writer, event)
-            .map_err(std::io::Error::from)
-            .and_then(|()| self.writer.write_all(b"\n"))
-            .and_then(|()| self.writer.flush());
-        written.map_err(|source| TrainError::Io { path: self.path.clone(), source })
+        let written = line(event).and_then(|line| {
+            self.file.write_all(&line)?;
+            self.length += line.len() as u64;
+            Ok(())
+        });
+        written.map_err(|source| {
+            // What a full disk took of the line goes again; if that fails too, the next resume drops it.
+            let _ = self.file.set_len(self.length);
+            TrainError::Io { path: self.path.clone(), source }
+        })
     }
+
+    /// Waits until all lines are on the disk.
+    pub fn sync(&self) -> Result<(), TrainError> {
+        self.file.sync_data().map_err(|source| TrainError::Io { path: self.path.clone(), source })
+    }
+}
+
+/// The line of an event with its end.
+fn line(event: &Event) -> std::io::Result<Vec<u8>> {
+    let mut line = serde_json::to_vec(event)?;
+    line.push(b'\n');
+    Ok(line)
 }
 
 #[cfg(test)]
@@ -159,7 +187,7 @@ mod tests {
     fn resuming_drops_later_and_torn_lines() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.jsonl");
-        let (mut journal, events) = Journal::open(&path, 0).unwrap();
+        let (mut journal, events) = Journal::open(&path, None).unwrap();
         assert!(events.is_empty());
         for step in 1..=5 {
             journal.append(&at(step)).unwrap();
@@ -167,10 +195,11 @@ mod tests {
         journal.append(&Event::Validation(ValidationRecord { step: 3, ..Default::default() })).unwrap();
         drop(journal);
         let mut file = OpenOptions::new().append(true).open(&path).unwrap();
-        file.write_all(b"{\"event\":\"step\",\"st").unwrap();
+        // Not UTF-8 either.
+        file.write_all(b"{\"event\":\"step\",\"st\xff").unwrap();
         drop(file);
 
-        let (mut journal, events) = Journal::open(&path, 3).unwrap();
+        let (mut journal, events) = Journal::open(&path, Some(3)).unwrap();
         assert_eq!(events.iter().map(Event::step).collect::<Vec<_>>(), [1, 2, 3, 3]);
         assert_eq!(events[0], at(1));
         journal.append(&at(4)).unwrap();
@@ -178,5 +207,8 @@ mod tests {
         let lines = std::fs::read_to_string(&path).unwrap();
         assert_eq!(lines.lines().count(), 5);
         assert!(lines.ends_with('\n'));
+        // A run without a state begins anew.
+        assert!(Journal::open(&path, None).unwrap().1.is_empty());
+        assert_eq!(std::fs::read(&path).unwrap(), b"");
     }
 }

@@ -4,9 +4,12 @@
 //! `best.safetensors` (weights of the best validation), `last.safetensors` and `state-<step>` (everything a resume
 //! needs), `metrics.jsonl`, `curves.svg`, `poses.png` and the resolved `config.toml`. A resumed run continues bit for
 //! bit: weights, moments, averages, schedule and the position in the stream of pairs are saved, and random numbers
-//! belong to pairs, not to the process.
+//! belong to pairs, not to the process. After a validation the best weights are written first, with their score in
+//! them, then the journal's line, then the state: whatever is lost with a process that dies is done again. One process
+//! at a time works in a run folder.
 
 mod bad_batch;
+mod best;
 mod datasets;
 mod ema;
 mod error;
@@ -14,7 +17,6 @@ mod figures;
 mod folder;
 mod gradients;
 mod initial_weights;
-mod interrupt;
 mod journal;
 mod observer;
 mod optimization;
@@ -26,7 +28,6 @@ mod state;
 mod validation;
 
 pub use error::TrainError;
-pub use interrupt::Interrupt;
 pub use journal::{Event, Journal, StepRecord, ValidationRecord};
 pub use observer::{Phase, PhaseExtent, TrainObserver};
 pub use optimization::Optimization;

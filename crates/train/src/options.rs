@@ -3,8 +3,9 @@
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use burn::tensor::Device;
+use unopose_core::interrupt::Interrupt;
 
-use super::{interrupt::Interrupt, journal::ValidationRecord, observer::TrainObserver};
+use super::{journal::ValidationRecord, observer::TrainObserver};
 
 /// What a call adds to the configuration.
 pub struct TrainOptions {
@@ -14,15 +15,17 @@ pub struct TrainOptions {
     pub data_root: PathBuf,
     /// Start from the weights in this checkpoint or official state when the folder has no checkpoint.
     pub init: Option<PathBuf>,
-    /// Delete an earlier run in the folder instead of resuming it.
+    /// Delete an earlier run in the folder instead of resuming it, once the new one has all it needs to begin.
     pub fresh: bool,
+    /// Resume from the weights alone, without the optimizer's moments.
+    pub reset_optimizer: bool,
     /// Stop after this time, data generation, validation and report included.
     pub time_limit: Option<Duration>,
     /// Where to compute; without autodiff.
     pub device: Device,
     /// Save and stop when the run has taken this many steps, as after an interrupt.
     pub stop_at: Option<u64>,
-    /// Asked from outside (Ctrl-C) to save and stop.
+    /// Asked from outside (Ctrl-C, SIGTERM) to save and stop.
     pub interrupt: Arc<Interrupt>,
     /// Told how far the run is; `Arc::new(())` for nobody.
     pub observer: Arc<dyn TrainObserver>,

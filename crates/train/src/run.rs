@@ -1,20 +1,18 @@
 //! The training loop.
 
 use std::{
+    ops::ControlFlow,
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use unopose_core::config::Config;
-use unopose_nn::{
-    checkpoint::{self, Meta},
-    device::require_precision,
-    model::UnoPose,
-};
+use unopose_core::{config::Config, files::remove_part_files, folder_lock::FolderLock};
+use unopose_nn::{device::require_precision, model::UnoPose};
 use unopose_pairs::data::{BatchStream, TrainSample};
 
 use super::{
     TrainError, bad_batch,
+    best::Best,
     datasets::Datasets,
     figures, folder, initial_weights,
     journal::{Event, Journal, StepRecord, ValidationRecord},
@@ -31,21 +29,27 @@ use super::{
 pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
     let start = Instant::now();
     require_precision(&options.device, config.train.precision)?;
-    folder::prepare(config, options)?;
-    if let Some(step) = folder::finished_step(config, &options.out)? {
-        let events = Journal::read(&options.out.join("metrics.jsonl"))?;
-        return Ok(TrainOutcome {
-            stop_reason: StopReason::AlreadyFinished,
-            step,
-            validations: validations(&events),
-        });
+    let _lock = FolderLock::exclusive(&options.out)?;
+    remove_part_files(&options.out)?;
+    if !options.fresh {
+        folder::require_same_network(config, &options.out)?;
+        if let Some(step) = folder::finished_step(config, &options.out)? {
+            let events = Journal::read(&options.out.join("metrics.jsonl"))?;
+            return Ok(TrainOutcome {
+                stop_reason: StopReason::AlreadyFinished,
+                step,
+                validations: validations(&events),
+            });
+        }
     }
-    let Some(datasets) = Datasets::open_or_generate(config, options)? else {
-        let step = state::read_state(&options.out)?.map_or(0, |(step, _)| step);
-        return Ok(TrainOutcome { stop_reason: StopReason::Interrupted, step, validations: Vec::new() });
-    };
-    options.interrupt.training_begins();
-    Run::start(config, options, datasets, start)?.run()
+    match Datasets::open_or_generate(config, options, start)? {
+        ControlFlow::Continue(datasets) => Run::start(config, options, datasets, start)?.run(),
+        ControlFlow::Break(stop_reason) => {
+            let earlier = if options.fresh { None } else { state::read_state(&options.out)? };
+            let step = earlier.map_or(0, |(step, _)| step);
+            Ok(TrainOutcome { stop_reason, step, validations: Vec::new() })
+        }
+    }
 }
 
 /// A run in progress.
@@ -57,6 +61,7 @@ struct Run<'a> {
     optimization: Optimization<UnoPose>,
     schedule: Schedule,
     journal: Journal,
+    best: Best,
     state: RunState,
     /// Start of the call.
     start: Instant,
@@ -78,18 +83,27 @@ impl<'a> Run<'a> {
         let device = options.device.clone().autodiff();
         let model = UnoPose::new(&config.model, config.seed, &device);
         let mut optimization = Optimization::new(model, &config.train);
-        let state = match state::restore(&options.out, &mut optimization, &config.model)? {
-            Some(state) => state,
-            None => {
-                if let Some(model) = initial_weights::load(config, options, optimization.model())? {
-                    optimization = Optimization::new(model, &config.train);
-                }
-                RunState::default()
-            }
+        let restored = match options.fresh {
+            true => None,
+            false => state::restore(&options.out, &mut optimization, &config.model, options.reset_optimizer)?,
         };
-        let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), optimization.step())?;
-        let validated_step = validations(&events).last().map(|v| v.step);
+        if restored.is_none()
+            && let Some(model) = initial_weights::load(config, options, optimization.model())?
+        {
+            optimization = Optimization::new(model, &config.train);
+        }
         let validation = datasets.validation(config)?;
+        // An earlier run goes only when the new one has all it needs.
+        if options.fresh {
+            state::clear(&options.out)?;
+        }
+        folder::write_config(config, &options.out)?;
+        let at = restored.as_ref().map(|_| optimization.step());
+        let (journal, events) = Journal::open(&options.out.join("metrics.jsonl"), at)?;
+        let best = Best::open(&options.out, &events)?;
+        let state = restored.unwrap_or_default();
+        // Weights of a validation that are lost are validated again.
+        let validated_step = validations(&events).last().map(|v| v.step).filter(|_| best.exists());
         Ok(Self {
             config,
             options,
@@ -98,6 +112,7 @@ impl<'a> Run<'a> {
             optimization,
             schedule: Schedule::new(&config.train),
             journal,
+            best,
             earlier_s: state.elapsed_s,
             state,
             start,
@@ -111,8 +126,10 @@ impl<'a> Run<'a> {
     fn run(mut self) -> Result<TrainOutcome, TrainError> {
         let train = &self.config.train;
         let first_step = self.optimization.step();
-        if first_step == 0 && self.validated_step.is_none() {
+        let due = std::mem::take(&mut self.state.validation_due) || first_step == 0;
+        if due && self.validated_step != Some(first_step) {
             self.validate()?;
+            self.save()?;
         }
         let reserve = self.validation_time.mul_f64(1.3) + Duration::from_secs(3);
         let training_start = Instant::now();
@@ -165,8 +182,10 @@ impl<'a> Run<'a> {
         let minutes = self.last_validation.elapsed().as_secs_f64() / 60.0;
         let due = step.is_multiple_of(train.validate_every)
             || (train.validate_minutes > 0.0 && minutes >= train.validate_minutes);
-        if due && step < train.steps {
-            let record = self.validate()?;
+        if due
+            && step < train.steps
+            && let Some(record) = self.validate()?
+        {
             self.options.observer.line(&format!("step {step}: {}", record.describe()));
         }
         if due || self.last_checkpoint.elapsed().as_secs_f64() >= train.checkpoint_seconds {
@@ -175,12 +194,15 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    fn finish(mut self, stop_reason: StopReason) -> Result<TrainOutcome, TrainError> {
-        self.state.finished = stop_reason == StopReason::Finished;
+    fn finish(mut self, mut stop_reason: StopReason) -> Result<TrainOutcome, TrainError> {
         let step = self.optimization.step();
-        if stop_reason != StopReason::Interrupted && self.validated_step != Some(step) {
-            self.validate()?;
+        if stop_reason != StopReason::Interrupted
+            && self.validated_step != Some(step)
+            && self.validate()?.is_none()
+        {
+            stop_reason = StopReason::Interrupted;
         }
+        self.state.finished = stop_reason == StopReason::Finished;
         self.save()?;
         let out = &self.options.out;
         let events = Journal::read(&out.join("metrics.jsonl"))?;
@@ -234,26 +256,32 @@ impl<'a> Run<'a> {
         Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
     }
 
-    fn validate(&mut self) -> Result<ValidationRecord, TrainError> {
+    /// `None` when interrupted; the next call begins with it.
+    fn validate(&mut self) -> Result<Option<ValidationRecord>, TrainError> {
         let start = Instant::now();
-        let model = self.optimization.deployed();
-        let mut record =
-            self.validation.run(&model, self.config, &self.options.device, &*self.options.observer)?;
+        let (options, model) = (self.options, self.optimization.deployed());
+        let record = self.validation.run(
+            &model,
+            self.config,
+            &options.device,
+            &*options.observer,
+            &options.interrupt,
+        )?;
+        self.state.validation_due = record.is_none();
+        let Some(mut record) = record else { return Ok(None) };
         record.step = self.optimization.step();
         record.elapsed_s = self.elapsed_s();
+        // In this order: a validation in the journal has left its weights.
+        self.best.offer(&model, self.config, &record)?;
         self.journal.append(&Event::Validation(record.clone()))?;
-        if self.state.best_score.is_none_or(|best| record.score() > best) {
-            self.state.best_score = Some(record.score());
-            let meta = Meta { step: record.step, ..Meta::default() };
-            checkpoint::save(&self.options.out.join("best.safetensors"), &model, self.config, &meta)?;
-        }
         self.validated_step = Some(record.step);
         self.last_validation = Instant::now();
         self.validation_time = start.elapsed();
-        Ok(record)
+        Ok(Some(record))
     }
 
     fn save(&mut self) -> Result<(), TrainError> {
+        self.journal.sync()?;
         self.state.elapsed_s = self.elapsed_s();
         state::save(&self.options.out, &self.optimization, self.config, &self.state)?;
         self.last_checkpoint = Instant::now();

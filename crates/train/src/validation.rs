@@ -7,7 +7,7 @@ use std::{
 
 use burn::tensor::Device;
 use rayon::prelude::*;
-use unopose_core::{config::Config, geometry::Pose};
+use unopose_core::{config::Config, geometry::Pose, interrupt::Interrupt};
 use unopose_dataset::formats::{FormatError, ObjectSymmetries};
 use unopose_eval::eval::{EvalObject, PoseErrors, TestView};
 use unopose_infer::{InferError, PairEstimate, Uniforms, estimate_pairs};
@@ -99,18 +99,23 @@ impl Validation {
         Ok(Self { sampler, source, objects, truths: truths.into_iter().map(|(_, truth)| truth).collect() })
     }
 
-    /// Losses and poses of `model` (without autodiff) on all pairs.
+    /// Losses and poses of `model` (without autodiff) on all pairs; `None` when interrupted before the last.
     pub fn run(
         &self,
         model: &UnoPose,
         config: &Config,
         device: &Device,
         observer: &dyn TrainObserver,
-    ) -> Result<ValidationRecord, TrainError> {
+        interrupt: &Interrupt,
+    ) -> Result<Option<ValidationRecord>, TrainError> {
         observer.begin(Phase::Validation, PhaseExtent::new(0, self.truths.len() as u64));
         let (mut final_errors, mut coarse_errors) = (Vec::new(), Vec::new());
         let (mut loss, mut recalls) = (0.0, Vec::new());
         for (batch_index, truths) in self.truths.chunks(config.train.batch_size).enumerate() {
+            if interrupt.is_requested() {
+                observer.end(Phase::Validation);
+                return Ok(None);
+            }
             let first = batch_index * config.train.batch_size;
             let samples = self.samples(first..first + truths.len())?;
             let batch = PairTensors::from_samples(&samples, &config.model, device);
@@ -139,7 +144,7 @@ impl Validation {
         let mut record = summary(&final_errors, &coarse_errors, loss);
         record.average_recall =
             (!recalls.is_empty()).then(|| recalls.iter().sum::<f64>() / recalls.len() as f64);
-        Ok(record)
+        Ok(Some(record))
     }
 
     /// Mean of the VSD, MSSD and MSPD recalls of one estimate; `None` without the object's mesh.

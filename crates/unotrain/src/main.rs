@@ -12,15 +12,18 @@ use std::{
 use anyhow::Context as _;
 use clap::Parser;
 use unopose_cli::{DeviceOption, print_text};
-use unopose_core::{config::Config, explain};
+use unopose_core::{config::Config, explain, interrupt::Interrupt};
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
-use unopose_train::{Interrupt, StopReason, TrainOptions, TrainOutcome, train};
+use unopose_train::{StopReason, TrainOptions, TrainOutcome, train};
 
 use progress::ProgressBars;
 
 /// Train UNOPose. Without data it generates its synthetic training and validation sets first; an interrupted run
 /// resumes.
+///
+/// Ctrl-C, SIGTERM and SIGHUP save and stop. Exit codes: 0 done, or stopped by --minutes or --stop-at; 1 failed; 2 wrong
+/// arguments; 4 stopped before that, to be resumed with the same command.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -41,8 +44,8 @@ struct Arguments {
     #[arg(long, default_value = "data")]
     data: PathBuf,
     /// Stop cleanly after this many minutes, data generation, validation and report included.
-    #[arg(long)]
-    minutes: Option<f64>,
+    #[arg(long, value_parser = parse_minutes)]
+    minutes: Option<Duration>,
     /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
@@ -52,14 +55,31 @@ struct Arguments {
     /// Delete an earlier run in the folder.
     #[arg(long)]
     fresh: bool,
+    /// Resume from the weights alone where the optimizer's saved state is damaged.
+    #[arg(long, conflicts_with = "fresh")]
+    reset_optimizer: bool,
     /// Save and exit when the run has taken this many steps.
     #[arg(long, value_name = "STEP")]
     stop_at: Option<u64>,
     #[command(flatten)]
     device: DeviceOption,
     /// Threads of the CPU backend and of data preparation [default: one per core].
-    #[arg(long)]
-    threads: Option<usize>,
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
+    threads: Option<u16>,
+}
+
+/// Exit code of a call that stopped before what was asked for.
+const INTERRUPTED: u8 = 4;
+/// More than the processors of any machine.
+const MOST_THREADS: i64 = 1024;
+/// Ten years.
+const MOST_MINUTES: f64 = 60.0 * 24.0 * 3652.0;
+
+fn parse_minutes(text: &str) -> Result<Duration, String> {
+    let minutes = text.parse().ok().filter(|minutes| *minutes > 0.0 && *minutes <= MOST_MINUTES);
+    let minutes: f64 =
+        minutes.ok_or_else(|| format!("expected a number above 0 and at most {MOST_MINUTES}"))?;
+    Ok(Duration::from_secs_f64(60.0 * minutes))
 }
 
 fn main() -> ExitCode {
@@ -72,7 +92,7 @@ fn main() -> ExitCode {
         .without_time()
         .init();
     match run(Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("error: {}", explain(error.as_ref()));
             ExitCode::FAILURE
@@ -80,44 +100,43 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(arguments: Arguments) -> anyhow::Result<()> {
+fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let config = load(&arguments.config, &arguments.overrides)?;
     if arguments.print_config {
-        return Ok(print_text(&config.to_commented_toml()?)?);
+        print_text(&config.to_commented_toml()?)?;
+        return Ok(ExitCode::SUCCESS);
     }
     if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global().context("--threads")?;
     }
-    let time_limit = arguments
-        .minutes
-        .map(|minutes| Duration::try_from_secs_f64(60.0 * minutes).context("--minutes"))
-        .transpose()?;
     let (device, backend) = arguments.device.choice().open()?;
     let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
     let interrupt = Arc::new(Interrupt::default());
-    let signalled = interrupt.clone();
-    ctrlc::set_handler(move || {
-        if !signalled.request() {
-            std::process::exit(130);
-        }
-        eprintln!("saving; press Ctrl-C again to leave at once");
-    })
-    .context("cannot handle Ctrl-C")?;
+    interrupt
+        .on_signals(|| eprintln!("saving; press Ctrl-C again to leave at once"))
+        .context("cannot handle signals")?;
     eprintln!("run {} on {backend}, results in {}", config.name, out.display());
     let options = TrainOptions {
         out: out.clone(),
         data_root: arguments.data,
         init: arguments.init,
         fresh: arguments.fresh,
-        time_limit,
+        reset_optimizer: arguments.reset_optimizer,
+        time_limit: arguments.minutes,
         stop_at: arguments.stop_at,
         device,
-        interrupt,
+        interrupt: interrupt.clone(),
         observer: Arc::new(ProgressBars::default()),
     };
     let outcome = train(&config, &options)?;
-    print_summary(&outcome, &config, &out);
-    Ok(())
+    let weights = Some(out.join("best.safetensors")).filter(|path| path.exists());
+    print_summary(&outcome, &config, weights.as_deref());
+    let early = match outcome.stop_reason {
+        StopReason::Interrupted => interrupt.is_requested(),
+        StopReason::TimeUp => weights.is_none(),
+        _ => false,
+    };
+    Ok(if early { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 
 fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
@@ -128,7 +147,7 @@ fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     })
 }
 
-fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
+fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>) {
     let step = outcome.step;
     println!(
         "{}",
@@ -156,5 +175,8 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, out: &Path) {
         ]);
     }
     print!("{table}");
-    println!("weights: {}", out.join("best.safetensors").display());
+    match weights {
+        Some(path) => println!("weights: {}", path.display()),
+        None => println!("no weights yet; the same command goes on"),
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::{
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
     time::{Duration, Instant},
 };
 
@@ -73,11 +73,15 @@ fn the_printed_configuration_is_the_one_of_the_run() {
 #[test]
 fn mistakes_are_named_and_exit_with_failure() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 4] = [
+    let cases: [(&[&str], &str); 8] = [
         (&["--set", "trian.steps=3"], "--set trian.steps=3: unknown key `trian`, nearest valid: `train`"),
         (&["--set", "model.image_size=30"], "model.image_size is 30, expected a multiple of 4"),
         (&["--init", "absent.safetensors"], "cannot read checkpoint absent.safetensors: No such file"),
         (&["--set", "data.train=\"absent\""], "absent"),
+        (&["--minutes", "NaN"], "invalid value 'NaN' for '--minutes <MINUTES>': expected a number above 0"),
+        (&["--minutes=-1"], "expected a number above 0 and at most 5258880"),
+        (&["--minutes", "1e300"], "expected a number above 0 and at most 5258880"),
+        (&["--threads", "100000"], "100000 is not in 1..=1024"),
     ];
     for (arguments, expected) in cases {
         let output = unotrain(folder.path(), "run", arguments).output().unwrap();
@@ -85,4 +89,37 @@ fn mistakes_are_named_and_exit_with_failure() {
         assert!(!output.status.success() && text.contains(expected), "{arguments:?}: {text}");
         assert!(!text.contains("panicked"), "{text}");
     }
+}
+
+/// A scheduler's signal in the middle of training: saved, an exit code of its own, and the rest is as if nothing had been.
+#[cfg(unix)]
+#[test]
+fn a_terminated_run_saves_and_a_second_process_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let child = unotrain(folder.path(), "run", &["--set", "train.steps=1000000"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let last = folder.path().join("run/last.safetensors");
+    let begin = Instant::now();
+    while !last.exists() && begin.elapsed() < Duration::from_secs(120) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let second = unotrain(folder.path(), "run", &["--fresh"]).output().unwrap();
+    assert_eq!(second.status.code(), Some(1), "{}", text(&second));
+    let owner = format!("in use by process {} on ", child.id());
+    assert!(text(&second).contains(&owner), "{}", text(&second));
+    let status = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(status.success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{}", text(&output));
+    assert!(text(&output).contains("of 1000000 steps, saved"), "{}", text(&output));
+    let events = Journal::read(&folder.path().join("run/metrics.jsonl")).unwrap();
+    let saved = TensorFile::read(&last).unwrap();
+    let step: u64 = saved.metadata["step"].parse().unwrap();
+    assert_eq!(events.iter().map(Event::step).max(), Some(step));
+    let parts = std::fs::read_dir(folder.path().join("run")).unwrap();
+    let names: Vec<_> = parts.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    assert!(names.iter().all(|name| !name.starts_with('.')), "{names:?}");
 }

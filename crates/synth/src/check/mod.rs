@@ -19,7 +19,7 @@ use std::path::Path;
 
 use unopose_dataset::formats::{BopDataset, megapose::ShardFile};
 
-use super::SynthError;
+use super::{SynthError, folder};
 
 /// Reads the set in `dir`. Of every part each `step`-th image is decoded; the others are only counted. `progress` is
 /// called with the parts finished and their number.
@@ -33,13 +33,21 @@ pub fn check_dataset(
     let step = step.max(1);
     // A folder of scenes looks like one of unpacked shards, but for the files inside.
     let splits = dataset.splits()?;
-    if !splits.is_empty() {
-        scenes::check(&dataset, &splits, step, progress)
+    let mut report = if !splits.is_empty() {
+        scenes::check(&dataset, &splits, step, progress)?
     } else if !shards.is_empty() {
-        shards::check(dir, &folder, &shards, step, progress)
+        shards::check(dir, &folder, &shards, step, progress)?
     } else {
-        Err(SynthError::NoDataset { folder: dir.to_owned() })
-    }
+        return Err(SynthError::NoDataset { folder: dir.to_owned() });
+    };
+    report.set.add(left_behind(dir)?);
+    Ok(report)
+}
+
+/// Files that killed runs left half written.
+fn left_behind(root: &Path) -> Result<Vec<Finding>, SynthError> {
+    let what = "left behind by a run that was killed; the same generation again removes it";
+    Ok(folder::parts_of(root)?.iter().map(|path| Finding::new(path.display(), what)).collect())
 }
 
 #[cfg(test)]

@@ -50,7 +50,6 @@ pub(super) fn check(
     report.set.add(missing_shards(folder, &numbers, config.as_ref()));
     report.set.add(short_shards(&report.parts, config.is_some()));
     report.set.add(lists::check_index_files(above, folder, &known, config.is_some())?);
-    report.set.add(left_behind(folder)?);
     report.set.add(models.into_findings());
     Ok(report)
 }
@@ -156,17 +155,4 @@ fn short_shards(parts: &[PartReport], exact: bool) -> Vec<Finding> {
             Finding::new(&p.name, format!("{} images, the others have {usual}; {} bytes", p.images, p.bytes))
         })
         .collect()
-}
-
-/// Temporary files of a run that was killed.
-fn left_behind(folder: &Path) -> Result<Vec<Finding>, SynthError> {
-    let entries = std::fs::read_dir(folder)
-        .map_err(|source| SynthError::Io { path: folder.to_owned(), source })?
-        .filter_map(Result::ok);
-    let is_part = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(".part-");
-    let parts = entries.filter(|e| is_part(&e.file_name()));
-    let finding = |e: std::fs::DirEntry| {
-        Finding::new(e.path().display(), "left behind by a run that was killed; it can be removed")
-    };
-    Ok(parts.map(finding).collect())
 }

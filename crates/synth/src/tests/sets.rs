@@ -61,7 +61,7 @@ fn same_bytes_with_any_threads_and_after_an_interruption() {
     let error = generate_bop(&config, a.path(), &|_| {}).unwrap_err().to_string();
     assert!(error.contains("it has train_pbr_web/"), "{error}");
     std::fs::write(a.path().join("notes.txt"), "mine").unwrap();
-    remove_generated(a.path()).unwrap();
+    remove_generated(&config, a.path()).unwrap();
     assert_eq!(contents(a.path()).keys().collect::<Vec<_>>(), ["notes.txt"]);
     std::fs::create_dir_all(a.path().join("train_pbr_web")).unwrap();
     std::fs::write(a.path().join("train_pbr_web/shard-000000.tar"), "foreign").unwrap();
@@ -207,4 +207,56 @@ fn a_bop_set_has_targets_with_references_from_other_scenes() {
     let eight: std::collections::BTreeSet<_> =
         list("8_per_object").iter().map(|t| (t.obj_id, t.ref_scene_id, t.ref_im_id)).collect();
     assert!(eight.len() > one.len() && eight.len() <= 32, "{}", eight.len());
+}
+
+#[test]
+fn a_folder_that_is_being_filled_is_refused_and_not_emptied() {
+    let (config, folder) = (small(), tempfile::tempdir().unwrap());
+    let out = folder.path();
+    generate(&config, out, &|_| {}).unwrap();
+    let before = contents(out);
+    // Another set of shards is being made there.
+    let lock = unopose_core::folder_lock::FolderLock::shared(out).unwrap();
+    generate_shards(&config, out, 0..1, &|_| {}).unwrap();
+    let other = SynthConfig { seed: 12, ..config.clone() };
+    let refusals = [
+        generate(&config, out, &|_| {}).map(|_| ()),
+        generate_bop(&config, out, &|_| {}).map(|_| ()),
+        remove_generated(&other, out),
+    ];
+    for refused in refusals {
+        let error = refused.unwrap_err().to_string();
+        let owner = format!("in use by process {} on ", std::process::id());
+        assert!(error.contains(&owner), "{error}");
+    }
+    drop(lock);
+    // Nor is a set removed for one that cannot be made.
+    let impossible = SynthConfig { images: 0, ..config.clone() };
+    assert!(remove_generated(&impossible, out).unwrap_err().to_string().contains("synth.images is 0"));
+    generate(&config, out, &|_| {}).unwrap();
+    assert!(contents(out) == before);
+}
+
+#[test]
+fn a_stopped_generation_goes_on_and_leaves_nothing_half_written() {
+    let config = small();
+    let [whole, parts] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    generate(&config, whole.path(), &|_| {}).unwrap();
+    let stop = |progress: GenerationProgress| {
+        if progress.stage == Stage::Images && progress.done > config.images_per_shard {
+            progress.stop();
+        }
+    };
+    let error = generate(&config, parts.path(), &stop).unwrap_err();
+    assert!(matches!(error, SynthError::Stopped), "{error}");
+    let shards = |root: &Path| contents(root).keys().filter(|name| name.ends_with(".tar")).count();
+    assert!((1..shards(whole.path())).contains(&shards(parts.path())), "{}", shards(parts.path()));
+    // What a kill leaves besides.
+    for name in [".part-a", "models/.part-b", "train_pbr_web/.part-c"] {
+        std::fs::write(parts.path().join(name), "half").unwrap();
+    }
+    let found = check_dataset(parts.path(), 1, &|_, _| {}).unwrap();
+    assert_eq!(found.findings().filter(|f| f.what.starts_with("left behind")).count(), 3);
+    generate(&config, parts.path(), &|_| {}).unwrap();
+    assert!(contents(parts.path()) == contents(whole.path()));
 }
