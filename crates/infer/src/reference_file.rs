@@ -78,6 +78,7 @@ impl PoseEstimator {
                 angles: file.take("angles", &[size, size, k])?,
             },
             center: rows(&file.take("center", &[3])?)[0],
+            view: None,
         };
         let radius = file.take("radius", &[1])?[0];
         let points = rows(&file.take("measured", &[measured, 3])?);

@@ -97,6 +97,7 @@ impl Rules {
         self.at_least("model.hypotheses.kept", h.kept, 1);
         self.at_least_field("model.hypotheses.proposals", h.proposals, "model.hypotheses.kept", h.kept);
         self.positive("model.hypotheses.power", h.power.into());
+        self.at_least("model.hypotheses.starts", h.starts, 1);
     }
 
     fn color(&mut self, c: &ColorConfig, image_size: usize) {
