@@ -5,11 +5,10 @@ use std::sync::Arc;
 use burn::{
     module::{Module, ModuleVisitor, Param},
     optim::GradientsParams,
-    tensor::{DType, Tensor},
+    tensor::{DType, FloatDType, Tensor},
 };
 use unopose_core::config::{Config, Precision};
 use unopose_nn::{
-    device::require_precision,
     loss::pair_losses,
     model::{PairTensors, UnoPose},
 };
@@ -41,7 +40,8 @@ impl ModuleVisitor for Collect<'_> {
 fn losses_and_gradients_stay_near_those_of_single_precision() {
     let config = Config::embedded("smoke", &["data.max_rotation_deg=60.0".into()]).unwrap();
     let device = unopose_tests::test_device::test_device().autodiff();
-    if require_precision(&device, Precision::Bf16).is_err() {
+    // The CPU computes in bf16, too, if more slowly: enough for the comparison.
+    if !device.clone().inner().supports_dtype(FloatDType::BF16) {
         println!("skipped: this device does not compute in bf16");
         return;
     }

@@ -58,12 +58,28 @@ fn a_kept_reference_gives_the_same_pose_and_is_refused_by_another_network() {
     let message = retrained.load_reference(&path).err().unwrap().to_string();
     assert!(message.contains("kept.safetensors: network is"), "{message}");
 
-    let mut file = TensorFile::read(&path).unwrap();
-    let wrong = TensorData::new(vec![0.5f32; 96], [96]);
-    file.tensors.insert("choose".into(), wrong);
-    file.write(&path).unwrap();
-    let message = estimator.load_reference(&path).err().unwrap().to_string();
-    assert!(message.contains("choose is 0.5, expected whole numbers below 1024"), "{message}");
+    let good = TensorFile::read(&path).unwrap();
+    let refused = |field: &str, value: f32| {
+        let mut file = TensorFile { tensors: good.tensors.clone(), metadata: good.metadata.clone() };
+        let shape = file.tensors[field].shape().to_vec();
+        let values = TensorData::new(vec![value; shape.iter().product()], shape);
+        file.tensors.insert(field.into(), values);
+        file.write(&path).unwrap();
+        estimator.load_reference(&path).err().unwrap().to_string()
+    };
+    // Damage that reaches the tables of the structure embedding would index and allocate by these values.
+    for (field, value, expected) in [
+        ("choose", 0.5, "whole numbers below 1024"),
+        ("distances", -1.0, "values from 0 to 10000"),
+        ("distances", 1e30, "values from 0 to 10000"),
+        ("angles", 1e9, "values from 0 to 12.01"),
+        ("radius", 0.0, "values from 0.0001 to 1000"),
+        ("measured", 1e6, "values from -1000 to 1000"),
+    ] {
+        let message = refused(field, value);
+        assert!(message.contains(&format!("{field} is {value}, expected {expected}")), "{message}");
+    }
+    assert!(refused("features", f32::NAN).contains("contains NaN or infinity"));
 }
 
 #[test]

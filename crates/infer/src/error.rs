@@ -24,7 +24,9 @@ pub enum InferError {
          reference's (model.quirks.score_split_at_reference)"
     )]
     UnequalCounts { query: usize, reference: usize },
-    #[error("the estimated pose is not finite, expected one: are the checkpoint's weights broken?")]
+    #[error(
+        "the estimated pose, its score or overlap is not finite: are the checkpoint's weights or the kept reference broken?"
+    )]
     NotFinite,
     #[error("the network gave no result for this pair")]
     Incomplete,

@@ -24,7 +24,7 @@ use unopose_pairs::{
 };
 
 use super::{
-    Calibration, CloudPair, Estimate, Evidence, InferError, PairEstimate, PairTrace, Query, Reference,
+    Calibration, Candidate, CloudPair, Estimate, Evidence, InferError, Judge, PairTrace, Query, Reference,
     Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
     streams::{self, stream},
     trace_encoded,

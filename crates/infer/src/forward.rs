@@ -220,27 +220,24 @@ impl Network<'_> {
             Some(starts) => starts.iter().map(|&start| vec![start]).collect(),
             None => initial.iter().map(|coarse| different_starts(coarse, config.hypotheses.starts)).collect(),
         };
-        let mut fine: Vec<Option<FineTrace>> = vec![None; pairs.len()];
+        let mut fine: Vec<Vec<FineTrace>> = vec![Vec::new(); pairs.len()];
         let rounds =
             if model.fine_point_matching.is_some() { starts.iter().map(Vec::len).max() } else { None };
         for round in 0..rounds.unwrap_or(0) {
             // A pair with fewer starts repeats its last one, so that all pairs stay one batch.
-            let starts: Vec<Pose> =
-                starts.iter().map(|of_pair| of_pair[round.min(of_pair.len() - 1)]).collect();
-            let matched = self.fine(pairs, &query, reference, &starts)?;
+            let now: Vec<Pose> = starts.iter().map(|of_pair| of_pair[round.min(of_pair.len() - 1)]).collect();
+            let matched = self.fine(pairs, &query, reference, &now)?;
             times.fine += lap();
-            fine = pairs
-                .par_iter()
-                .zip(starts.into_par_iter().zip(matched).zip(fine))
-                .map(|(pair, ((start, matched), best))| {
-                    let new = FineTrace::new(pair, start, matched, &config.hypotheses);
-                    Some(match best {
-                        Some(best) if best.judged >= new.judged => best,
-                        _ => new,
-                    })
-                })
-                .collect();
+            fine.par_iter_mut().zip(pairs).zip(now.into_par_iter().zip(matched)).for_each(
+                |((results, pair), (start, matched))| {
+                    results.push(FineTrace::new(pair, start, matched, &config.hypotheses));
+                },
+            );
             times.solve += lap();
+        }
+        for (results, starts) in fine.iter_mut().zip(&starts) {
+            results.truncate(starts.len());
+            results.sort_by(|a, b| b.judged.total_cmp(&a.judged));
         }
         let stages = coarse.into_iter().zip(initial).zip(fine);
         let traces =

@@ -32,7 +32,7 @@ pub use error::InferError;
 pub use estimate::{Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;
 pub use forward::{estimate_encoded, estimate_pairs, trace_encoded};
-use judge::Judge;
+use judge::{Candidate, Judge};
 pub use pairs::{CloudPair, PairEstimate, StageTimes, encode_references};
 pub use reference::Reference;
 pub use target_references::{PosedReference, TargetReferences};

@@ -41,7 +41,7 @@ pub enum DeviceError {
          CUDART with headers, and set CUDA_PATH to its folder"
     )]
     NoKernelCompiler(&'static str),
-    #[error("this device does not compute in {0}; expected f32, or a GPU with {0}")]
+    #[error("this device does not compute in {0}; expected f32, or a GPU with {0} (--device)")]
     NoPrecision(Precision),
 }
 
@@ -102,11 +102,12 @@ pub fn is_host(device: &Device) -> bool {
     [flex(), ndarray()].into_iter().flatten().any(|(host, _)| host == plain)
 }
 
-/// An error on a device that does not compute in this number type.
+/// An error on a device that does not compute in this number type, or gains nothing from it: the CPU backends convert
+/// every bf16 operand back, and their kernels on slices take single precision only.
 pub fn require_precision(device: &Device, precision: Precision) -> Result<(), DeviceError> {
     let computes = match precision {
         Precision::F32 => true,
-        Precision::Bf16 => device.clone().inner().supports_dtype(FloatDType::BF16),
+        Precision::Bf16 => !is_host(device) && device.clone().inner().supports_dtype(FloatDType::BF16),
     };
     if computes { Ok(()) } else { Err(DeviceError::NoPrecision(precision)) }
 }
@@ -207,6 +208,17 @@ mod tests {
         }
         let error = "gpu".parse::<DeviceChoice>().unwrap_err();
         assert_eq!(error.to_string(), "unknown device \"gpu\", expected auto, flex, ndarray, wgpu or cuda");
+    }
+
+    #[test]
+    #[cfg(feature = "flex")]
+    fn the_cpu_computes_in_single_precision_only() {
+        let device = Device::flex();
+        require_precision(&device, Precision::F32).unwrap();
+        for device in [device.clone(), device.autodiff()] {
+            let error = require_precision(&device, Precision::Bf16).unwrap_err().to_string();
+            assert!(error.contains("does not compute in bf16; expected f32"), "{error}");
+        }
     }
 
     #[test]

@@ -15,6 +15,9 @@ const RESIDUAL_TIE: f64 = 2e-5;
 const SCORE_TIE: f64 = 1e-4;
 /// Second singular value, relative to the first, below which a triplet leaves its rotation open.
 const OPEN: f64 = 1e-5;
+/// A uniform number this near to a boundary of the cumulative distribution may fall on either side: the bound of
+/// `hyp.cumsum`.
+const BOUNDARY: f32 = 9e-6;
 
 /// Computes the stage; where the stored winner is open, the stored pose takes its place for what follows.
 pub(super) fn compute(
@@ -30,8 +33,13 @@ pub(super) fn compute(
     let mut pair_indices = Vec::with_capacity(batch);
     let mut spectra = Vec::with_capacity(batch);
     for (b, (pair, assignment)) in pairs.iter().zip(assignments).enumerate() {
-        let uniform = stored.item("uniform", 2, b, batch)?;
+        let mut uniform = stored.item("uniform", 2, b, batch)?;
         let distribution = match_distribution(assignment, config.hypotheses.power);
+        let stored_bins = stored.tensors.get("hyp.pair_idx").map_or(&[][..], |t| &t.values);
+        let stored_bins = stored_bins.chunks(uniform.len().max(1)).nth(b).unwrap_or_default();
+        for (u, &bin) in uniform.iter_mut().zip(stored_bins) {
+            *u = within_stored_bin(&distribution, *u, bin as usize);
+        }
         pair_indices.push(
             uniform.iter().map(|&u| distribution.partition_point(|&c| c < u) as f64).collect::<Vec<_>>(),
         );
@@ -111,6 +119,23 @@ pub(super) fn compute(
     Ok(poses)
 }
 
+/// `uniform`, moved into the stored bin where only rounding of the distribution's boundaries puts it into another one.
+fn within_stored_bin(distribution: &[f32], uniform: f32, stored: usize) -> f32 {
+    let ours = distribution.partition_point(|&c| c < uniform);
+    let crossed =
+        &distribution[ours.min(stored).min(distribution.len())..ours.max(stored).min(distribution.len())];
+    let all_near = crossed.iter().all(|c| (c - uniform).abs() <= BOUNDARY);
+    match distribution.get(stored) {
+        // The boundary itself is the last number of its bin, unless the bin is empty here.
+        Some(&last)
+            if ours != stored && all_near && distribution.partition_point(|&c| c < last) == stored =>
+        {
+            last
+        }
+        _ => uniform,
+    }
+}
+
 /// Singular values of a triplet's covariance (a sum, about the means).
 fn singular_values(hypothesis: &Hypothesis, query: &[[f32; 3]], reference: &[[f32; 3]]) -> [f64; 3] {
     let vector = |p: &[f32; 3]| Vector3::new(p[0] as f64, p[1] as f64, p[2] as f64);
@@ -169,5 +194,24 @@ fn rank(stored: &ReferenceTensors, ours: &CoarsePose, open: &[bool], b: usize, k
         kept: theirs.iter().map(|&h| h as f64).collect(),
         best: best.map_or(own.best, |best| best as f64),
         winner_open: own_open(their_winner.as_ref()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_rounding_moves_a_number_into_the_stored_bin() {
+        let distribution = [0.1, 0.3, 0.3, 0.300_004, 0.8, 1.0];
+        let bin = |u: f32| distribution.partition_point(|&c| c < u);
+        let moved = |u: f32, stored| bin(within_stored_bin(&distribution, u, stored));
+        assert_eq!(bin(0.300_001), 3);
+        // Across one boundary, in both directions, and not at all.
+        assert_eq!([moved(0.300_001, 1), moved(0.099_999, 1), moved(0.2, 1)], [1, 1, 1]);
+        // A narrow bin and an empty one between both.
+        assert_eq!(moved(0.299_999, 4), 4);
+        // An empty bin cannot be drawn; far boundaries and indices past the end are differences.
+        assert_eq!([moved(0.300_001, 2), moved(0.31, 1), moved(0.2, 0), moved(0.999_999, 6)], [3, 4, 1, 5]);
     }
 }

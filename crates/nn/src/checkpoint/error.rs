@@ -15,6 +15,11 @@ pub enum CheckpointError {
     Write(#[from] FileError),
     #[error("{} is not a safetensors file: {message}", path.display())]
     Format { path: PathBuf, message: String },
+    #[error(
+        "{} is damaged: its checksum is {stored}, but that of its contents is {computed}; copy or train it again",
+        path.display()
+    )]
+    Damaged { path: PathBuf, stored: String, computed: String },
     #[error("{} is neither a safetensors file nor a readable PyTorch checkpoint: {message}", path.display())]
     Pytorch { path: PathBuf, message: String },
     #[error(

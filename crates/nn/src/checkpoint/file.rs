@@ -1,4 +1,4 @@
-//! The safetensors file: named f32 arrays and string metadata.
+//! The safetensors file: named f32 arrays, string metadata, and a checksum of both.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -12,16 +12,20 @@ use unopose_core::files::write_atomic;
 
 use super::CheckpointError;
 
+/// Metadata entry with the CRC-32 of the other entries and of all tensors' names, shapes and stored bytes.
+const CHECKSUM: &str = "checksum";
+
 /// Contents of a checkpoint file on the host.
 pub struct TensorFile {
     /// Values by name.
     pub tensors: BTreeMap<String, TensorData>,
-    /// The header's `__metadata__`.
+    /// The header's `__metadata__`, without the checksum.
     pub metadata: BTreeMap<String, String>,
 }
 
 impl TensorFile {
-    /// Reads all tensors as f32; other precisions are converted, with a warning in the log.
+    /// Reads all tensors as f32; other precisions are converted, with a warning in the log. A file whose contents differ
+    /// from its checksum is refused; files of other programs have none.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes =
             std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
@@ -35,8 +39,16 @@ impl TensorFile {
             message: e.to_string(),
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
-        let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
+        let mut metadata: BTreeMap<String, String> =
+            header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
         let file = SafeTensors::deserialize(bytes).map_err(format)?;
+        if let Some(stored) = metadata.remove(CHECKSUM) {
+            let views: BTreeMap<&str, TensorView<'_>> = file.iter().collect();
+            let computed = checksum(&metadata, views.iter().map(|(name, view)| (*name, view)));
+            if stored != computed {
+                return Err(CheckpointError::Damaged { path: path.to_owned(), stored, computed });
+            }
+        }
         let mut tensors = BTreeMap::new();
         let mut converted: BTreeMap<String, usize> = BTreeMap::new();
         for (name, view) in file.iter() {
@@ -51,7 +63,7 @@ impl TensorFile {
         Ok(Self { tensors, metadata })
     }
 
-    /// Writes the file in one rename: readers see the old file or the new one, never a part.
+    /// Writes the file with its checksum, in one rename: readers see the old file or the new one, never a part.
     pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
         let views: Vec<(&String, TensorView<'_>)> = self
             .tensors
@@ -65,11 +77,29 @@ impl TensorFile {
                 })
             })
             .collect::<Result<_, _>>()?;
-        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        let checksum = checksum(&self.metadata, views.iter().map(|(name, view)| (name.as_str(), view)));
+        let mut metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        metadata.insert(CHECKSUM.into(), checksum);
         let bytes = safetensors::serialize(views, Some(metadata))
             .map_err(|e| CheckpointError::Format { path: path.to_owned(), message: e.to_string() })?;
         Ok(write_atomic(path, |writer| writer.write_all(&bytes))?)
     }
+}
+
+/// See [`CHECKSUM`]; `tensors` in the order of their names.
+fn checksum<'a, 'b: 'a>(
+    metadata: &BTreeMap<String, String>,
+    tensors: impl Iterator<Item = (&'a str, &'a TensorView<'b>)>,
+) -> String {
+    let mut hasher = crc32fast::Hasher::new();
+    for (key, value) in metadata {
+        hasher.update(format!("{key}\0{value}\0").as_bytes());
+    }
+    for (name, view) in tensors {
+        hasher.update(format!("{name}\0{:?}\0{:?}\0", view.dtype(), view.shape()).as_bytes());
+        hasher.update(view.data());
+    }
+    format!("crc32:{:08x}", hasher.finalize())
 }
 
 fn read_tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<TensorData, CheckpointError> {

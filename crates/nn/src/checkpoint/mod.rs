@@ -8,6 +8,7 @@
 //! format version, the step, the complete configuration as TOML, and whatever the writer adds.
 
 mod backbone;
+mod claims;
 mod error;
 mod file;
 mod named;

@@ -8,7 +8,10 @@ use burn::{
 };
 use safetensors::{Dtype, SafeTensors};
 
-use super::CheckpointError;
+use super::{
+    CheckpointError,
+    claims::{check_archive, check_tensors},
+};
 
 /// A tensor before any conversion.
 pub struct Stored {
@@ -30,7 +33,8 @@ pub struct Layout {
 /// An opened file.
 pub enum Container {
     Safetensors(Vec<u8>),
-    Pickled(HashMap<String, PickledTensor>),
+    /// And the file's length in bytes.
+    Pickled(HashMap<String, PickledTensor>, u64),
 }
 
 impl Container {
@@ -45,8 +49,9 @@ impl Container {
             SafeTensors::deserialize(&bytes).map_err(|e| format(path, &e))?;
             return Ok(Self::Safetensors(bytes));
         }
+        let length = check_archive(path)?;
         let reader = PytorchReader::new(path).map_err(|e| pytorch(path, e.to_string()))?;
-        Ok(Self::Pickled(reader.into_tensors()))
+        Ok(Self::Pickled(reader.into_tensors(), length))
     }
 
     /// Names of all tensors, sorted.
@@ -56,7 +61,7 @@ impl Container {
                 let file = SafeTensors::deserialize(bytes).map_err(|e| format(path, &e))?;
                 file.names().into_iter().map(str::to_owned).collect()
             }
-            Self::Pickled(tensors) => tensors.keys().cloned().collect(),
+            Self::Pickled(tensors, _) => tensors.keys().cloned().collect(),
         };
         names.sort();
         Ok(names)
@@ -69,7 +74,9 @@ impl Container {
                 let view = file.tensor(name).map_err(|e| format(path, &e))?;
                 Ok(view.shape().to_vec())
             }
-            Self::Pickled(tensors) => Ok(tensors.get(name).map(|t| t.shape().to_vec()).unwrap_or_default()),
+            Self::Pickled(tensors, _) => {
+                Ok(tensors.get(name).map(|t| t.shape().to_vec()).unwrap_or_default())
+            }
         }
     }
 
@@ -105,7 +112,9 @@ impl Container {
                     stored.push(Stored { name, shape, dtype, bytes: view.data().to_vec() });
                 }
             }
-            Self::Pickled(tensors) => {
+            Self::Pickled(tensors, length) => {
+                let wanted = tensors.iter().filter(|(name, _)| name.starts_with(place));
+                check_tensors(path, wanted.map(|(_, tensor)| tensor), length)?;
                 for (name, tensor) in tensors {
                     let Some(name) = name.strip_prefix(place) else {
                         others += 1;
@@ -131,7 +140,7 @@ impl Container {
                 format!("{} tensors, the first is {} {shape:?}", names.len(), names[0])
             }
             (_, Self::Safetensors(_)) => "no tensors".into(),
-            (_, Self::Pickled(_)) => pickled_contents(path),
+            (_, Self::Pickled(..)) => pickled_contents(path),
         }
     }
 }

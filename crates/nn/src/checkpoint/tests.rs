@@ -101,3 +101,31 @@ fn missing_unknown_and_damaged_tensors_are_refused() {
     std::fs::remove_file(&path).unwrap();
     assert!(load().contains("cannot read checkpoint"));
 }
+
+#[test]
+fn a_changed_bit_is_found_and_files_without_a_checksum_are_read() {
+    let device = Device::default();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.safetensors");
+    save(&path, &net(3, &device), &config(3), &Meta::default()).unwrap();
+    let load = || load_into(&path, net(3, &device), &config(3).model).map(|_| ()).map_err(|e| e.to_string());
+    load().unwrap();
+    assert_eq!(read_meta(&path).unwrap(), Meta::default(), "the checksum is no entry of the writer");
+    let good = std::fs::read(&path).unwrap();
+    // The lowest bit of every stored number, and a digit of the configuration.
+    let values = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
+    let digit = good.windows(7).position(|w| w == b"seed = ").unwrap() + 7;
+    for position in (values..good.len()).step_by(4).chain([digit]) {
+        let mut bad = good.clone();
+        bad[position] ^= 1;
+        std::fs::write(&path, bad).unwrap();
+        let error = load().unwrap_err();
+        assert!(error.contains("a.safetensors is damaged: its checksum is crc32:"), "{position}: {error}");
+    }
+    // Another name of the entry, as files of other programs and earlier versions have none.
+    let entry = good.windows(8).position(|w| w == b"checksum").unwrap();
+    let mut other = good;
+    other[entry] = b'k';
+    std::fs::write(&path, other).unwrap();
+    load().unwrap();
+}

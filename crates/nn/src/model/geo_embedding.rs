@@ -28,6 +28,8 @@ pub struct GeometricStructureEmbedding {
 /// Table steps per unit of the index. A sinusoid's second derivative is at most 1, so linear interpolation errs by at
 /// most step^2 / 8 = 1.9e-6 per channel before the linear map.
 const STEPS_PER_UNIT: f32 = 256.0;
+/// Largest table, rows. Clouds in radii need a few thousand; a larger one saves nothing.
+const LARGEST_TABLE: f32 = 65_536.0;
 /// Table rows that one task computes from one another.
 const RUN: usize = 256;
 
@@ -52,19 +54,20 @@ impl GeometricStructureEmbedding {
         let device = distances.device().inner();
         let [input, width] = self.proj_d.weight.dims();
         let pairs = batch * m * m;
-        if self.table && is_host(&device) && pairs * k > 0 {
-            let positions =
-                [distances.reshape([pairs]), angles.reshape([pairs * k])].map(|index| index * STEPS_PER_UNIT);
-            let tables = [(&self.proj_d, &positions[0]), (&self.proj_a, &positions[1])];
-            let tables = tables.map(|(map, positions)| {
-                let largest = positions.clone().max().into_scalar::<f32>();
-                map.forward(sinusoid_grid(largest as usize + 2, input, &device)) // [entries, C]
-            });
-            let [distances, angles] = positions;
-            let embedding = interpolated_embedding(tables, distances, angles.reshape([pairs, k]));
-            return embedding.reshape([batch, m, m, width]);
-        }
         let (distances, angles) = (distances.reshape([pairs]), angles.reshape([pairs * k]));
+        if self.table && is_host(&device) && pairs * k > 0 {
+            let positions = [&distances, &angles].map(|index| index.clone() * STEPS_PER_UNIT);
+            let largest = positions.each_ref().map(|positions| positions.clone().max().into_scalar::<f32>());
+            if largest.iter().all(|&position| position < LARGEST_TABLE) {
+                let tables =
+                    [(&self.proj_d, largest[0]), (&self.proj_a, largest[1])].map(|(map, largest)| {
+                        map.forward(sinusoid_grid(largest as usize + 2, input, &device)) // [entries, C]
+                    });
+                let [distances, angles] = positions;
+                let embedding = interpolated_embedding(tables, distances, angles.reshape([pairs, k]));
+                return embedding.reshape([batch, m, m, width]);
+            }
+        }
         let d = self.proj_d.forward(sinusoid(distances, input)); // [B M M, C]
         let a = self.proj_a.forward(sinusoid(angles, input)); // [B M M k, C]
         let a = a.reshape([pairs, k, width]).max_dim(1).reshape([pairs, width]);

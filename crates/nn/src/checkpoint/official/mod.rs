@@ -158,7 +158,7 @@ impl OfficialState {
 pub(super) fn is_official(path: &Path) -> bool {
     let Ok(container) = Container::open(path) else { return is_pytorch(path) };
     match &container {
-        Container::Pickled(_) => true,
+        Container::Pickled(..) => true,
         Container::Safetensors(bytes) => {
             let metadata = SafeTensors::read_metadata(bytes).map(|(_, header)| header.metadata().clone());
             let ours = metadata.is_ok_and(|m| m.is_some_and(|m| m.contains_key("format_version")));
