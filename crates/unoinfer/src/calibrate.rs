@@ -11,11 +11,11 @@ use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
 
-use super::progress::ProgressDisplay;
+use super::{options::HypothesisOptions, progress::ProgressDisplay};
 
 #[derive(Args)]
 pub struct CalibrateArguments {
-    /// Checkpoint of unotrain; the calibration is written into its metadata
+    /// Checkpoint of unotrain; the calibration, and what `--set` changes, are written into its metadata
     #[arg(long, value_name = "FILE")]
     checkpoint: PathBuf,
     /// New checkpoint instead of changing that one
@@ -34,6 +34,8 @@ pub struct CalibrateArguments {
     #[arg(long, value_name = "DIR", default_value = "calibration")]
     out: PathBuf,
     #[command(flatten)]
+    hypotheses: HypothesisOptions,
+    #[command(flatten)]
     device: DeviceOption,
 }
 
@@ -49,7 +51,10 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     })?;
     // Before the work: a file that cannot carry a calibration is refused.
     checkpoint::read_meta(&arguments.checkpoint)?;
-    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?;
+    let mut config = checkpoint::read_config(&arguments.checkpoint)?;
+    config.model.hypotheses = arguments.hypotheses.apply(&config.model)?;
+    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?
+        .with_hypotheses(config.model.hypotheses.clone());
     let progress = ProgressDisplay::new("calibrating");
     let right = PoseCriterion::DEFAULT;
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
@@ -64,7 +69,8 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     let reliability = write_reliability(&judged(&records, &calibration), &arguments.out)?;
     println!("on these pairs: {}", describe(&reliability));
     let output = arguments.output.as_ref().unwrap_or(&arguments.checkpoint);
-    checkpoint::annotate(&arguments.checkpoint, output, calibration.to_metadata())?;
+    let entries = [calibration.to_metadata(), checkpoint::config_entry(&config)?];
+    checkpoint::annotate(&arguments.checkpoint, output, entries)?;
     println!("{}", output.display());
     Ok(())
 }
