@@ -1,9 +1,10 @@
 //! `unogen check`.
 
-use std::{io::Write, path::PathBuf, process::ExitCode};
+use std::{fmt::Write as _, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
+use unopose_cli::print_text;
 use unopose_synth::CheckReport;
 
 /// Checks a MegaPose or BOP folder: damaged or missing files, masks against visibility, poses against masks and depth
@@ -34,16 +35,12 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     };
     let report = unopose_synth::check_dataset(&arguments.dir, arguments.every, &progress)?;
     bar.finish_and_clear();
-    match print(arguments, &report) {
-        // The reader may close the pipe early.
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => return Err(error.into()),
-        _ => {}
-    }
+    print_text(&text(arguments, &report)?);
     Ok(ExitCode::from(u8::from(report.finding_count() > 0)))
 }
 
-fn print(arguments: &Arguments, report: &CheckReport) -> std::io::Result<()> {
-    let mut out = std::io::stdout().lock();
+fn text(arguments: &Arguments, report: &CheckReport) -> Result<String, std::fmt::Error> {
+    let mut out = String::new();
     let root = arguments.dir.display().to_string();
     for part in &report.parts {
         let name = part.name.strip_prefix(&root).unwrap_or(&part.name).trim_start_matches('/');
@@ -87,5 +84,6 @@ fn print(arguments: &Arguments, report: &CheckReport) -> std::io::Result<()> {
         )?;
     }
     let (parts, images, count) = (report.parts.len(), report.images(), report.finding_count());
-    writeln!(out, "{root}: {images} images in {parts} parts, {count} findings")
+    writeln!(out, "{root}: {images} images in {parts} parts, {count} findings")?;
+    Ok(out)
 }

@@ -1,7 +1,6 @@
 //! `unogen` without a subcommand: making a set.
 
 use std::{
-    io::Write as _,
     ops::Range,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
@@ -10,6 +9,7 @@ use std::{
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use unopose_cli::{print_text, say, tell};
 use unopose_core::{
     config::{Config, SynthCameraConfig, SynthConfig},
     interrupt::Interrupt,
@@ -135,7 +135,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let config = configuration(arguments)?;
     if arguments.print_config {
-        return print(&config.to_commented_toml()?);
+        print_text(&config.to_commented_toml()?);
+        return Ok(());
     }
     let out = arguments.out.as_deref().context("--out is missing")?;
     if arguments.overwrite {
@@ -143,7 +144,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let interrupt = Arc::new(Interrupt::default());
     interrupt
-        .on_signals(|| eprintln!("finishing the scenes in work; again to leave at once"))
+        .on_signals(|| tell!("finishing the scenes in work; again to leave at once"))
         .context("cannot handle signals")?;
     let started = std::time::Instant::now();
     let bar = Bar::default();
@@ -160,7 +161,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }?;
     let seconds = started.elapsed().as_secs_f64();
     let rate = summary.images_written as f64 / seconds.max(1e-9);
-    println!(
+    say!(
         "{}: {} images in {} parts written, {} parts kept, {seconds:.1} s ({rate:.1} images/s)",
         out.display(),
         summary.images_written,
@@ -168,14 +169,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         summary.shards_kept,
     );
     if summary.meshes_replaced > 0 {
-        println!(
+        say!(
             "the meshes of {} objects could not be used (see the warnings); procedural ones took their place",
             summary.meshes_replaced
         );
     }
     if let Some(file) = &arguments.contact_sheet {
         draw_samples(arguments.format, out, file)?;
-        println!("contact sheet: {}", file.display());
+        say!("contact sheet: {}", file.display());
     }
     Ok(())
 }
@@ -193,14 +194,6 @@ fn draw_samples(format: Format, set: &Path, file: &Path) -> Result<()> {
         images.extend(split.scene(scene)?.image_ids().map(|image| (scene, image)));
     }
     Ok(unopose_synth::contact_sheet(images.len(), &|i| split.load(images[i].0, images[i].1), file, SHAPE)?)
-}
-
-/// Prints a long text; a reader that has seen enough (`| head`) is no error.
-fn print(text: &str) -> Result<()> {
-    match std::io::stdout().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
 }
 
 /// One progress bar per stage, fed from several threads.

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use unopose_cli::tell;
 use unopose_core::{config::MAX_THREADS, explain};
 use unopose_synth::SynthError;
 
@@ -37,15 +38,19 @@ const INTERRUPTED: u8 = 4;
 
 fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .log_internal_errors(false)
+        .init();
     match run(Arguments::parse()) {
         Ok(code) => code,
         Err(error) if matches!(error.downcast_ref(), Some(SynthError::Stopped)) => {
-            eprintln!("interrupted; the same command goes on");
+            tell!("interrupted; the same command goes on");
             ExitCode::from(INTERRUPTED)
         }
         Err(error) => {
-            eprintln!("error: {}", explain(error.as_ref()));
+            tell!("error: {}", explain(error.as_ref()));
             ExitCode::FAILURE
         }
     }

@@ -24,7 +24,7 @@ use unopose_pairs::{
 };
 
 use super::{
-    Calibration, CloudPair, Estimate, Evidence, InferError, PairEstimate, PairTrace, Query, Reference,
+    Calibration, Candidate, CloudPair, Estimate, Evidence, InferError, Judge, PairTrace, Query, Reference,
     Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
     streams::{self, stream},
     trace_encoded,
@@ -183,8 +183,7 @@ impl PoseEstimator {
         let (cloud, prepare) = self.prepare(query)?;
         let (mut traces, times) = self.run(&[(query, &cloud, prepare)], None)?;
         let stages = traces.pop().ok_or(InferError::Incomplete)?;
-        let pair = stages.estimate(&query.reference.pair(&cloud));
-        Ok(Trace { estimate: self.finish(query, prepare, pair, times)?, stages, cloud })
+        Ok(Trace { estimate: self.finish(query, (&cloud, prepare), &stages, times)?, stages, cloud })
     }
 
     /// The pose of the fine stage when it starts from `t_query_reference` (metres) instead of the coarse pose; `None`
@@ -194,7 +193,7 @@ impl PoseEstimator {
         let pair = query.reference.pair(&cloud);
         let start = normalised_pose(t_query_reference, cloud.center, pair.reference.center, pair.radius);
         let (mut traces, _) = self.run(&[(query, &cloud, prepare)], Some(&[start]))?;
-        let stages = traces.pop().filter(|stages| stages.fine.is_some());
+        let stages = traces.pop().filter(|stages| stages.fine().is_some());
         Ok(stages.map(|stages| stages.estimate(&pair).t_query_reference))
     }
 
@@ -214,8 +213,7 @@ impl PoseEstimator {
                     .par_iter()
                     .zip(traces)
                     .map(|((query, cloud, prepare), stages)| {
-                        let pair = stages.estimate(&query.reference.pair(cloud));
-                        self.finish(query, *prepare, pair, share)
+                        self.finish(query, (cloud, *prepare), &stages, share)
                     })
                     .collect()
             }
@@ -241,27 +239,48 @@ impl PoseEstimator {
         trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }
 
+    /// Refines the pose from every start, and lets the one win that both views speak for.
     fn finish(
         &self,
         query: &Query<'_>,
-        prepare: f64,
-        pair: PairEstimate,
+        (cloud, prepare): (&CloudInput, f64),
+        stages: &PairTrace,
         network: StageTimes,
     ) -> Result<Estimate, InferError> {
         let start = Instant::now();
-        let mut pose = pair.t_query_reference;
-        let judged = [&pair.score, &pair.matched].into_iter().chain(&pair.overlap);
-        if !pose.rotation.iter().chain(&pose.translation).chain(judged).all(|x| x.is_finite()) {
+        let clouds = query.reference.pair(cloud);
+        let surface = self.refinement.settings().zip(query.reference.surface());
+        let points = surface.map(|_| query.frame.masked_points(query.mask)).unwrap_or_default();
+        let refined = |pose: &Pose| match &surface {
+            Some((settings, surface)) => refine_with(&points, surface, pose, settings).t_query_reference,
+            None => *pose,
+        };
+        let judge = Judge::new(&clouds, &self.config.hypotheses);
+        let candidates: Vec<Candidate> = (0..stages.fine.len().max(1))
+            .map(|result| {
+                let pair = stages.estimate_of(result, &clouds);
+                let pose = refined(&pair.t_query_reference);
+                Candidate { judged: judge.judge(&pose), pair, pose }
+            })
+            .collect();
+        let best = (0..candidates.len())
+            .reduce(|a, b| if candidates[b].judged.score > candidates[a].judged.score { b } else { a })
+            .unwrap_or(0);
+        let runner_up = candidates[best].runner_up(&candidates);
+        let Candidate { pair, pose, judged } = &candidates[best];
+        let numbers = [&pair.score, &pair.matched].into_iter().chain(&pair.overlap);
+        if !pose.rotation.iter().chain(&pose.translation).chain(numbers).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
-        if let Some(settings) = self.refinement.settings()
-            && let Some(surface) = query.reference.surface()
-        {
-            let points = query.frame.masked_points(query.mask);
-            pose = refine_with(&points, surface, &pose, &settings).t_query_reference;
-        }
+        let pose = *pose;
         let refine = start.elapsed().as_secs_f64();
-        let evidence = Evidence { points: query.frame.measured_pixels(query.mask).count(), ..pair.evidence };
+        let evidence = Evidence {
+            points: query.frame.measured_pixels(query.mask).count(),
+            color: judged.agreement.color,
+            in_front: judged.agreement.in_front,
+            runner_up,
+            ..pair.evidence
+        };
         let judge = |calibration: &Calibration| {
             calibration.judge(&evidence, self.min_confidence.unwrap_or(calibration.threshold))
         };

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use rayon::prelude::*;
 use unopose_core::{
     config::{HypothesisScore, ModelConfig},
-    geometry::{MutualFit, Pose, coarse_pose},
+    geometry::{CoarsePose, Pose, coarse_pose},
 };
 use unopose_nn::{
     device::is_host,
@@ -15,17 +15,23 @@ use unopose_nn::{
         into_group_tensors,
     },
 };
-use unopose_pairs::data::{CloudInput, PreparedReference, positional_groups};
+use unopose_pairs::{
+    appearance::Detail,
+    data::{CloudInput, PreparedReference, positional_groups},
+};
 
 use super::{
-    CloudPair, InferError, Matched, PairEstimate, PairTrace, StageTimes, Uniforms, host_assignments,
-    pairs::with_positions, trace::sparse_points,
+    CloudPair, FineTrace, InferError, Judge, Matched, PairEstimate, PairTrace, StageTimes, Uniforms,
+    host_assignments, pairs::with_positions, trace::sparse_points,
 };
 
 /// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
 /// Everything else is done for each pair on its own, whose tensors fit into the caches better than those of several; the
 /// pairs pass side by side, so that no core waits at the end of a stage.
 const COLORS_ON_HOST: usize = 8;
+
+/// Angle between the rotations of two starts of the fine stage, degrees; it corrects smaller ones by itself.
+const STARTS_APART_DEG: f64 = 20.0;
 
 /// Poses of pairs of equal sizes, each pair with its own reference. `model` must not be on the autodiff tape.
 pub fn estimate_pairs(
@@ -175,7 +181,7 @@ impl Network<'_> {
         Sampling { uniforms, first, given }: Sampling<'_>,
         mut times: StageTimes,
     ) -> Result<(Vec<PairTrace>, StageTimes), InferError> {
-        let &Self { model, config, device } = self;
+        let &Self { model, config, .. } = self;
         let mut clock = Instant::now();
         let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
         let mut coarse = model.coarse(&query, reference, Supervision::LastBlock);
@@ -189,7 +195,8 @@ impl Network<'_> {
             .par_iter()
             .zip(&coarse)
             .enumerate()
-            .map(|(index, (&CloudPair { query, reference, .. }, matched))| {
+            .map(|(index, (pair, matched))| {
+                let CloudPair { query, reference, .. } = *pair;
                 let coarse = coarse_pose(
                     &matched.assignment,
                     &sparse_points(query),
@@ -201,52 +208,83 @@ impl Network<'_> {
                 match config.hypotheses.score {
                     HypothesisScore::Distance => coarse,
                     HypothesisScore::MutualFit => {
-                        let fit = MutualFit::new(&query.points, &reference.points);
-                        coarse.rescored(|pose| fit.score(pose))
+                        let judge = Judge::new(pair, &config.hypotheses);
+                        coarse.rescored(|pose| judge.score(pose, Detail::Blurred))
                     }
                 }
             })
             .collect();
         times.hypotheses = lap();
 
-        let starts: Vec<Pose> = match given {
-            Some(starts) => starts.to_vec(),
-            None => initial.iter().map(|coarse| coarse.pose).collect(),
+        let starts: Vec<Vec<Pose>> = match given {
+            Some(starts) => starts.iter().map(|&start| vec![start]).collect(),
+            None => initial.iter().map(|coarse| different_starts(coarse, config.hypotheses.starts)).collect(),
         };
-        let fine = match &model.fine_point_matching {
-            Some(stage) => {
-                let groups: Vec<_> = pairs
-                    .par_iter()
-                    .zip(&starts)
-                    .map(|(pair, start)| {
-                        let t_reference_query = start.inverse();
-                        let moved: Vec<[f32; 3]> =
-                            pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
-                        positional_groups(&moved, config)
-                    })
-                    .collect();
-                let groups = into_group_tensors(groups, config, device);
-                let query = EncodedCloud { position: Some(stage.position(&groups)), ..query };
-                let mut blocks = model.fine(&query, reference, Supervision::LastBlock);
-                blocks.pop().map(|block| host_assignments(block, config.overlap, false)).transpose()?
-            }
-            None => None,
-        };
-        times.fine = lap();
-
-        let fine: Vec<Option<Matched>> = match fine {
-            Some(fine) => fine.into_iter().map(Some).collect(),
-            None => vec![None; pairs.len()],
-        };
-        let stages: Vec<_> = coarse.into_iter().zip(initial).zip(starts).zip(fine).collect();
-        let traces = pairs
-            .par_iter()
-            .zip(stages)
-            .map(|(pair, (((coarse, initial), start), fine))| {
-                PairTrace::new(pair, (coarse, initial), (start, fine))
-            })
-            .collect();
-        times.solve = lap();
+        let mut fine: Vec<Vec<FineTrace>> = vec![Vec::new(); pairs.len()];
+        let rounds =
+            if model.fine_point_matching.is_some() { starts.iter().map(Vec::len).max() } else { None };
+        for round in 0..rounds.unwrap_or(0) {
+            // A pair with fewer starts repeats its last one, so that all pairs stay one batch.
+            let now: Vec<Pose> = starts.iter().map(|of_pair| of_pair[round.min(of_pair.len() - 1)]).collect();
+            let matched = self.fine(pairs, &query, reference, &now)?;
+            times.fine += lap();
+            fine.par_iter_mut().zip(pairs).zip(now.into_par_iter().zip(matched)).for_each(
+                |((results, pair), (start, matched))| {
+                    results.push(FineTrace::new(pair, start, matched, &config.hypotheses));
+                },
+            );
+            times.solve += lap();
+        }
+        for (results, starts) in fine.iter_mut().zip(&starts) {
+            results.truncate(starts.len());
+            results.sort_by(|a, b| b.judged.total_cmp(&a.judged));
+        }
+        let stages = coarse.into_iter().zip(initial).zip(fine);
+        let traces =
+            stages.map(|((coarse, coarse_pose), fine)| PairTrace { coarse, coarse_pose, fine }).collect();
         Ok((traces, times))
     }
+
+    /// Assignments of the dense points when the query, moved by its start, gets its positional encoding.
+    fn fine(
+        &self,
+        pairs: &[CloudPair<'_>],
+        query: &EncodedCloud,
+        reference: &EncodedCloud,
+        starts: &[Pose],
+    ) -> Result<Vec<Matched>, InferError> {
+        let &Self { model, config, device } = self;
+        let Some(stage) = &model.fine_point_matching else { return Ok(Vec::new()) };
+        let groups: Vec<_> = pairs
+            .par_iter()
+            .zip(starts)
+            .map(|(pair, start)| {
+                let t_reference_query = start.inverse();
+                let moved: Vec<[f32; 3]> =
+                    pair.query.points.iter().map(|p| t_reference_query.transform_f32(p)).collect();
+                positional_groups(&moved, config)
+            })
+            .collect();
+        let groups = into_group_tensors(groups, config, device);
+        let query = EncodedCloud { position: Some(stage.position(&groups)), ..query.clone() };
+        let block = model.fine(&query, reference, Supervision::LastBlock).pop();
+        Ok(block.map(|block| host_assignments(block, config.overlap, false)).transpose()?.unwrap_or_default())
+    }
+}
+
+/// The poses of the best scored hypotheses that are turned against each other, at most `count`, the best first.
+fn different_starts(coarse: &CoarsePose, count: usize) -> Vec<Pose> {
+    let mut starts = vec![coarse.pose];
+    let mut order: Vec<usize> = (0..coarse.kept.len()).collect();
+    order.sort_by(|&a, &b| coarse.kept_scores[b].total_cmp(&coarse.kept_scores[a]));
+    for index in order {
+        if starts.len() >= count {
+            break;
+        }
+        let pose = &coarse.hypotheses[coarse.kept[index]].pose;
+        if starts.iter().all(|start| start.rotation_angle_deg(pose) > STARTS_APART_DEG) {
+            starts.push(*pose);
+        }
+    }
+    starts
 }

@@ -8,17 +8,17 @@
 use std::{collections::BTreeMap, ops::RangeInclusive, path::Path, sync::OnceLock};
 
 use burn::tensor::{Tensor, TensorData};
-use unopose_core::geometry::StructureIndices;
+use unopose_core::geometry::{Intrinsics, StructureIndices};
 use unopose_nn::{
     checkpoint::TensorFile,
     model::{EncodedCloud, SparseRows, StructureTensors},
 };
-use unopose_pairs::data::CloudInput;
+use unopose_pairs::{appearance::AppearanceView, data::CloudInput};
 
 use super::{InferError, PoseEstimator, Reference};
 
 /// What the metadata entry `kind` says.
-const KIND: &str = "unopose reference 1";
+const KIND: &str = "unopose reference 2";
 /// Bound of coordinates and distances in radii of the object or in sigma_d. A cloud that is not centred lies up to some
 /// hundred radii from the camera.
 const IN_RADII: f32 = 1e4;
@@ -49,6 +49,17 @@ impl PoseEstimator {
             ("angles".to_owned(), host(angles.clone(), &[*size, *size, *k])),
             ("features".to_owned(), read(reference.encoded.dense.clone(), "colour features")?),
         ]);
+        if let Some(view) = &cloud.view {
+            let (width, cells) = (view.width(), view.depth().len());
+            let Intrinsics { fx, fy, cx, cy } = *view.camera();
+            let object = view.object().iter().map(|&object| f32::from(u8::from(object))).collect();
+            tensors.extend([
+                ("view.camera".to_owned(), host([fx, fy, cx, cy].map(|x| x as f32).to_vec(), &[4])),
+                ("view.depth".to_owned(), host(view.depth().to_vec(), &[cells / width.max(1), width])),
+                ("view.object".to_owned(), host(object, &[cells])),
+                ("view.colors".to_owned(), host(view.colors().concat(), &[cells, 3])),
+            ]);
+        }
         if let Some(position) = &reference.encoded.position {
             tensors.insert("position".to_owned(), read(position.clone(), "positional encoding")?);
         }
@@ -84,6 +95,7 @@ impl PoseEstimator {
                 angles: file.within("angles", &[size, size, k], 0.0..=largest_angle)?,
             },
             center: rows(&file.within("center", &[3], -IN_METRES..=IN_METRES)?)[0],
+            view: config.hypotheses.uses_appearance().then(|| file.view()).transpose()?,
         };
         let radius = file.within("radius", &[1], 1e-4..=IN_METRES)?[0];
         let points = rows(&file.within("measured", &[measured, 3], -IN_METRES..=IN_METRES)?);
@@ -148,6 +160,29 @@ impl Fields<'_> {
             }
             None => Ok(values),
         }
+    }
+
+    /// The map of the view.
+    fn view(&mut self) -> Result<AppearanceView, InferError> {
+        let shape = self.file.tensors.get("view.depth").map(|data| data.shape().to_vec());
+        let Some([height, width]) = shape.as_deref().and_then(|shape| <[usize; 2]>::try_from(shape).ok())
+        else {
+            return Err(self.error(
+                "view.depth",
+                "absent or of another rank",
+                "a tensor of rows and columns",
+            ));
+        };
+        let depth = self.within("view.depth", &[height, width], 0.0..=IN_METRES)?;
+        let object = self.within("view.object", &[depth.len()], 0.0..=1.0)?;
+        let colors = rows(&self.within("view.colors", &[depth.len(), 3], -1.0..=1.0)?);
+        let camera = self.within("view.camera", &[4], -1e6..=1e6)?;
+        if let Some(focal) = camera[..2].iter().find(|&&focal| focal < 1.0) {
+            return Err(self.error("view.camera", focal, "focal lengths of at least 1 cell"));
+        }
+        let [fx, fy, cx, cy] = [0, 1, 2, 3].map(|i| f64::from(camera[i]));
+        let object = object.into_iter().map(|object| object == 1.0).collect();
+        Ok(AppearanceView::from_maps(Intrinsics { fx, fy, cx, cy }, width, depth, object, colors))
     }
 
     /// Whole numbers below `limit`.

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use unopose_core::config::{ModelConfig, Precision};
+use unopose_core::config::{HypothesisConfig, ModelConfig, Precision};
 use unopose_nn::device::{DeviceChoice, require_precision};
 
 use super::{Calibration, InferError, PoseEstimator, Refinement};
@@ -20,6 +20,14 @@ impl PoseEstimator {
     /// Seed of point sampling and hypotheses, 0 at first.
     pub fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
+        self
+    }
+
+    /// How pose hypotheses are made and judged, at first as the checkpoint says. References prepared before keep what they
+    /// were prepared with.
+    pub fn with_hypotheses(mut self, hypotheses: HypothesisConfig) -> Self {
+        self.config.hypotheses = hypotheses;
+        self.network = OnceLock::new();
         self
     }
 

@@ -1,12 +1,18 @@
 //! What the two stages computed of one pair, and the estimate that follows from it.
 
-use unopose_core::geometry::{CoarsePose, FinePose, Pose, fine_pose, nearest_distances};
-use unopose_pairs::data::{CloudInput, metric_pose};
+use unopose_core::{
+    config::HypothesisConfig,
+    geometry::{CoarsePose, FinePose, Pose, fine_pose, nearest_distances},
+};
+use unopose_pairs::{
+    appearance::Detail,
+    data::{CloudInput, metric_pose},
+};
 
-use super::{CloudPair, Evidence, Matched, PairEstimate, confidence::Support};
+use super::{CloudPair, Evidence, Judge, Matched, PairEstimate, confidence::Support};
 
 /// Angle from which a hypothesis counts as another answer, degrees.
-const APART_DEG: f64 = 30.0;
+pub(super) const APART_DEG: f64 = 30.0;
 /// Distance to the reference (radii) up to which a query point fits, as in the fine stage.
 const FITTING_DISTANCE: f32 = 0.15;
 
@@ -17,8 +23,8 @@ pub struct PairTrace {
     pub coarse: Matched,
     /// The hypotheses and the chosen one.
     pub coarse_pose: CoarsePose,
-    /// `None` without a fine stage.
-    pub fine: Option<FineTrace>,
+    /// Results from different starts, the best judged first; empty without a fine stage.
+    pub fine: Vec<FineTrace>,
 }
 
 /// The fine stage.
@@ -30,27 +36,44 @@ pub struct FineTrace {
     pub matched: Matched,
     /// Weighted Procrustes and score.
     pub solved: FinePose,
+    /// By which results from several starts are compared.
+    pub judged: f64,
+}
+
+impl FineTrace {
+    /// From the stage's start and assignment.
+    pub(super) fn new(
+        pair: &CloudPair<'_>,
+        start: Pose,
+        matched: Matched,
+        config: &HypothesisConfig,
+    ) -> Self {
+        let solved = fine_pose(&matched.assignment, &pair.query.points, &pair.reference.points);
+        let judged = Judge::new(pair, config).score(&solved.pose, Detail::Fine);
+        Self { start, matched, solved, judged }
+    }
 }
 
 impl PairTrace {
-    /// From the coarse stage, and the fine stage's start and assignment.
-    pub(super) fn new(
-        &CloudPair { query, reference, .. }: &CloudPair<'_>,
-        (coarse, coarse_pose): (Matched, CoarsePose),
-        (start, fine): (Pose, Option<Matched>),
-    ) -> Self {
-        let fine = fine.map(|matched| FineTrace {
-            start,
-            solved: fine_pose(&matched.assignment, &query.points, &reference.points),
-            matched,
-        });
-        Self { coarse, coarse_pose, fine }
+    /// The best result of the fine stage, `None` without one.
+    pub fn fine(&self) -> Option<&FineTrace> {
+        self.fine.first()
     }
 
     /// Pose and confidence.
-    pub fn estimate(&self, &CloudPair { query, reference, radius }: &CloudPair<'_>) -> PairEstimate {
+    pub fn estimate(&self, pair: &CloudPair<'_>) -> PairEstimate {
+        self.estimate_of(0, pair)
+    }
+
+    /// Those of one of the results in `fine`.
+    pub(super) fn estimate_of(
+        &self,
+        result: usize,
+        &CloudPair { query, reference, radius }: &CloudPair<'_>,
+    ) -> PairEstimate {
         let metric = |pose: &Pose| metric_pose(pose, query.center, reference.center, radius);
-        let (pose, score, matched) = match &self.fine {
+        let fine = self.fine.get(result);
+        let (pose, score, matched) = match fine {
             Some(fine) => (fine.solved.pose, fine.solved.score, &fine.matched),
             None => (self.coarse_pose.pose, self.coarse_confidence(query, reference), &self.coarse),
         };
@@ -61,13 +84,20 @@ impl PairTrace {
             coarse_score: self.coarse_pose.score,
             overlap: matched.mean_overlap(),
             matched: matched.matched_share(),
-            evidence: self.evidence(query, &pose, score, matched),
+            evidence: self.evidence(query, fine, &pose, score, matched),
         }
     }
 
-    fn evidence(&self, query: &CloudInput, pose: &Pose, score: f64, matched: &Matched) -> Evidence {
-        let start = self.fine.as_ref().map_or(&self.coarse_pose.pose, |fine| &fine.start);
-        let Support { mass, residual } = match &self.fine {
+    fn evidence(
+        &self,
+        query: &CloudInput,
+        fine: Option<&FineTrace>,
+        pose: &Pose,
+        score: f64,
+        matched: &Matched,
+    ) -> Evidence {
+        let start = fine.map_or(&self.coarse_pose.pose, |fine| &fine.start);
+        let Support { mass, residual } = match fine {
             Some(fine) => Support::of(&fine.solved, &query.points),
             None => Support::NONE,
         };
@@ -82,7 +112,7 @@ impl PairTrace {
             coarse_score: self.coarse_pose.score,
             rival: self.rival(pose),
             agreement_deg: pose.rotation_angle_deg(start),
-            points: 0,
+            ..Evidence::default()
         }
     }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, judged, write_findings, write_reliability};
+use unopose_cli::{print_text, say};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_infer::PoseCriterion;
 
@@ -53,11 +54,11 @@ pub fn run(arguments: &AnalyseArguments) -> anyhow::Result<()> {
     progress.finish();
     ensure!(!records.is_empty(), "{}: no target could be analysed", arguments.dataset.display());
     let title = format!("{} on {}", estimator.source(), list.dataset.name());
-    print!("{}", write_findings(&records, &title, &arguments.out)?);
+    print_text(&write_findings(&records, &title, &arguments.out)?);
     if let Some(calibration) = estimator.calibration() {
         let reliability = write_reliability(&judged(&records, calibration), &arguments.out)?;
-        println!("\nconfidence: {}", describe(&reliability));
+        say!("\nconfidence: {}", describe(&reliability));
     }
-    println!("\n{}", arguments.out.join("findings.md").display());
+    say!("\n{}", arguments.out.join("findings.md").display());
     Ok(())
 }

@@ -12,7 +12,7 @@ use unopose_bench::{
     DetectionSource, INGREDIENTS, ListRequest, Method, Network, PreparedList, Suite, UnoSegMasks,
     run_sequence, sequence_table,
 };
-use unopose_cli::DeviceOption;
+use unopose_cli::{DeviceOption, print_text, say, tell};
 use unopose_dataset::{
     formats::PhoneSequence,
     protocol::{Protocol, REFERENCE_COUNTS},
@@ -157,17 +157,17 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
 fn run_lists(suite: &Suite<'_>, lists: &[PreparedList], folder: &Path) -> anyhow::Result<()> {
     for prepared in lists {
         let name = &prepared.facts.list;
-        eprintln!("{name}: {} targets", prepared.list.targets.len());
+        tell!("{name}: {} targets", prepared.list.targets.len());
         print_unused(&prepared.list);
         let folder = if lists.len() > 1 { folder.join(name) } else { folder.to_owned() };
         suite.run(&prepared.list, &prepared.facts, &folder)?;
         for table in ["table.md", "ablation.md"] {
             let path = folder.join(table);
             if path.is_file() {
-                println!("{}", std::fs::read_to_string(path)?);
+                say!("{}", std::fs::read_to_string(path)?);
             }
         }
-        println!("{}", folder.join("index.html").display());
+        say!("{}", folder.join("index.html").display());
     }
     Ok(())
 }
@@ -236,7 +236,7 @@ fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()
     let reference = arguments.reference_frame.unwrap_or(first);
     let step = arguments.frame_step;
     let runs = run_sequence(&sequence, reference, step, methods, &arguments.refine, &arguments.out)?;
-    print!("{}", sequence_table(&sequence.name(), reference, &runs));
+    print_text(&sequence_table(&sequence.name(), reference, &runs));
     Ok(())
 }
 

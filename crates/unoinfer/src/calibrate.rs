@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
-use unopose_cli::DeviceOption;
+use unopose_cli::{DeviceOption, say};
 use unopose_dataset::{
     formats::DatasetSplits,
     protocol::{TargetFiles, TargetList},
@@ -14,11 +14,11 @@ use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
 
-use super::{progress::ProgressDisplay, score::print_unused};
+use super::{options::HypothesisOptions, progress::ProgressDisplay, score::print_unused};
 
 #[derive(Args)]
 pub struct CalibrateArguments {
-    /// Checkpoint of unotrain; the calibration is written into its metadata
+    /// Checkpoint of unotrain; the calibration, and what `--set` changes, are written into its metadata
     #[arg(long, value_name = "FILE")]
     checkpoint: PathBuf,
     /// New checkpoint instead of changing that one
@@ -37,6 +37,8 @@ pub struct CalibrateArguments {
     #[arg(long, value_name = "DIR", default_value = "calibration")]
     out: PathBuf,
     #[command(flatten)]
+    hypotheses: HypothesisOptions,
+    #[command(flatten)]
     device: DeviceOption,
 }
 
@@ -51,23 +53,27 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     print_unused(&list);
     // Before the work: a file that cannot carry a calibration is refused.
     checkpoint::read_meta(&arguments.checkpoint)?;
-    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?;
+    let mut config = checkpoint::read_config(&arguments.checkpoint)?;
+    config.model.hypotheses = arguments.hypotheses.apply(&config.model)?;
+    let estimator = PoseEstimator::load(&arguments.checkpoint, arguments.device.choice())?
+        .with_hypotheses(config.model.hypotheses.clone());
     let progress = ProgressDisplay::new("calibrating");
     let right = PoseCriterion::DEFAULT;
     let records = analyse(&estimator, &list, right, &mut |done, total| progress.set(done, total))?;
     progress.finish();
     ensure!(!records.is_empty(), "{}: no target has a pose", arguments.dataset.display());
     let calibration = calibrate(&records, right, &list.dataset.name())?;
-    println!("right: {} of {} pairs", records.iter().filter(|r| r.right).count(), records.len());
+    say!("right: {} of {} pairs", records.iter().filter(|r| r.right).count(), records.len());
     for term in calibration.terms.iter().filter(|term| term.weight > 0.0) {
-        println!("  {:?}: weight {:.3}, usual {:.3}", term.feature, term.weight, term.usual);
+        say!("  {:?}: weight {:.3}, usual {:.3}", term.feature, term.weight, term.usual);
     }
-    println!("threshold: {:.2}", calibration.threshold);
+    say!("threshold: {:.2}", calibration.threshold);
     let reliability = write_reliability(&judged(&records, &calibration), &arguments.out)?;
-    println!("on these pairs: {}", describe(&reliability));
+    say!("on these pairs: {}", describe(&reliability));
     let output = arguments.output.as_ref().unwrap_or(&arguments.checkpoint);
-    checkpoint::annotate(&arguments.checkpoint, output, calibration.to_metadata())?;
-    println!("{}", output.display());
+    let entries = [calibration.to_metadata(), checkpoint::config_entry(&config)?];
+    checkpoint::annotate(&arguments.checkpoint, output, entries)?;
+    say!("{}", output.display());
     Ok(())
 }
 

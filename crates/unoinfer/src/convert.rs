@@ -6,7 +6,7 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use unopose_cli::print_text;
+use unopose_cli::{print_text, say};
 use unopose_nn::{
     checkpoint::{self, Backbone, OfficialState, TensorFile},
     device::DeviceChoice,
@@ -99,7 +99,8 @@ pub fn inspect(arguments: &InspectArguments) -> anyhow::Result<()> {
             writeln!(out, "{name} {:?}", t.shape())?;
         }
     }
-    Ok(print_text(&out)?)
+    print_text(&out);
+    Ok(())
 }
 
 /// Conversions and stored tensors that nothing reads, a line each.
@@ -119,7 +120,7 @@ pub fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
     let (device, _) = DeviceChoice::Auto.open()?;
     let (model, config, _) = checkpoint::load(&arguments.input, &device)?;
     checkpoint::export_official(&arguments.output, &model, &config.model)?;
-    println!("{}", arguments.output.display());
+    say!("{}", arguments.output.display());
     Ok(())
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use serde_json::{Value, json};
+use unopose_cli::{print_text, say, tell};
 use unopose_core::{config::Config, frame::MaskedView};
 use unopose_dataset::formats::{FormatError, image_io::MaskValue};
 use unopose_doctor::{
@@ -155,9 +156,9 @@ fn examine_view(
     wrong: &mut Vec<String>,
 ) -> Option<View> {
     let mut report = |place: &str, findings: &[Finding]| {
-        println!("{title}: {place}");
+        say!("{title}: {place}");
         for finding in findings {
-            println!("  {}", finding.to_string().replace('\n', "\n  "));
+            say!("  {}", finding.to_string().replace('\n', "\n  "));
             if finding.level == Level::Wrong {
                 wrong.push(format!("{title} ({})", finding.check));
             }
@@ -206,7 +207,7 @@ fn picture(out: &Path, reference: Option<&View>, query: Option<&View>) -> anyhow
         .filter_map(|view| MaskedObject::measure(&view.points()))
         .map(|object| format!("{} cm", (1000.0 * bar_length(&object)).round() / 10.0))
         .collect();
-    println!(
+    say!(
         "{}: colour, depth, borders, points from the left and from above (bar: {})",
         path.display(),
         bars.join(", ")
@@ -229,10 +230,10 @@ fn examine_set(folder: &Path, sampling: &Sampling) -> anyhow::Result<Vec<String>
         let [ok, look, wrong] = summary.counts.map(|n| n.to_string());
         table.push([summary.check.to_string(), summary.level.to_string(), ok, look, wrong]);
     }
-    println!("{}: {} instances in {} images", folder.display(), report.instances.len(), report.images);
-    print!("{table}");
+    say!("{}: {} instances in {} images", folder.display(), report.instances.len(), report.images);
+    print_text(&table.to_string());
     for (place, finding) in report.worst(LISTED) {
-        println!("{place}\n  {}", finding.to_string().replace('\n', "\n  "));
+        say!("{place}\n  {}", finding.to_string().replace('\n', "\n  "));
     }
     Ok(summaries.iter().filter(|s| s.level == Level::Wrong).map(|s| s.check.to_string()).collect())
 }
@@ -258,7 +259,7 @@ pub fn warnings(
         if finding.level == Level::Wrong && matches!(finding.check, Check::Unit | Check::Pair) {
             bail!("{view}: {}; {}", finding.text, finding.advice);
         }
-        eprintln!("warning: {view}: {}; {}", finding.text, finding.advice);
+        tell!("warning: {view}: {}; {}", finding.text, finding.advice);
         let mut warning = json!(finding);
         warning["view"] = json!(view);
         warnings.push(warning);

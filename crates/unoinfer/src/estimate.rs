@@ -6,6 +6,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use image::Rgb;
 use serde_json::json;
+use unopose_cli::{say, tell};
 use unopose_core::{explain, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::{files::write_json, image_io::MaskValue};
 use unopose_doctor::{Expected, MaskedObject};
@@ -126,7 +127,7 @@ pub fn run(arguments: &EstimateArguments) -> anyhow::Result<()> {
             if queries.len() == 1 {
                 return Err(error);
             }
-            eprintln!("{}: {}", files.rgb.display(), explain(error.as_ref()));
+            tell!("{}: {}", files.rgb.display(), explain(error.as_ref()));
             failed.push(files.rgb.display().to_string());
         }
     }
@@ -234,11 +235,11 @@ fn estimate_view(
     overlay::write_png(&out.join("overlay.png"), &drawn(reference, view, &results))?;
     for (i, result) in results.iter().enumerate() {
         match result {
-            Ok(estimate) => println!("{}", line(files, i, estimate)),
-            Err(error) => eprintln!("{}: {error}", place(files, i)),
+            Ok(estimate) => say!("{}", line(files, i, estimate)),
+            Err(error) => tell!("{}: {error}", place(files, i)),
         }
     }
-    println!("{} and overlay.png", out.join("pose.json").display());
+    say!("{} and overlay.png", out.join("pose.json").display());
     Ok(())
 }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use unopose_bench::{DetectionSource, ListRequest};
+use unopose_cli::{say, tell};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_eval::eval::{EvalError, score_poses, write_poses};
 use unopose_infer::{
@@ -70,7 +71,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         estimator = untrained(estimator, seed);
     }
     let list = target_list(arguments, &estimator)?;
-    eprintln!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
+    tell!("{} on {}, {} targets", estimator.source(), estimator.backend(), list.targets.len());
     score::print_unused(&list);
     let progress = ProgressDisplay::new("estimating");
     let poses = estimate_targets(&estimator, &list, arguments.reference_color, &mut |done, total| {
@@ -94,24 +95,24 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             evaluation.write(&arguments.out)?;
             score::print(evaluation);
         }
-        None => println!("{NOT_SCORED}"),
+        None => say!("{NOT_SCORED}"),
     }
     let (references, seconds) = (poses.references, poses.reference_seconds);
-    println!(
+    say!(
         "{} pairs, {references} references ({:.3} s each, included above)",
         poses.pairs,
         seconds / references.max(1) as f64
     );
     if !poses.rejections.is_empty() {
-        println!("{} without a pose:", poses.rejections.len());
-        poses.reasons().iter().for_each(|(reason, count)| println!("  {count} x {reason}"));
+        say!("{} without a pose:", poses.rejections.len());
+        poses.reasons().iter().for_each(|(reason, count)| say!("  {count} x {reason}"));
     }
     match evaluation {
         Some(evaluation) => {
-            println!("{} and {}", table.display(), arguments.out.join("scores.json").display());
+            say!("{} and {}", table.display(), arguments.out.join("scores.json").display());
             score::print_warnings(&evaluation.scores.input);
         }
-        None => println!("{}", table.display()),
+        None => say!("{}", table.display()),
     }
     ensure!(!poses.results.is_empty(), "none of {} targets got a pose", list.targets.len());
     Ok(())

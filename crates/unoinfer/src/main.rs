@@ -17,6 +17,7 @@ mod segment_dataset;
 mod verify;
 
 use clap::{Parser, Subcommand};
+use unopose_cli::tell;
 use unopose_segment::SegmentError;
 
 /// Exit code when the object is not in the image.
@@ -59,7 +60,12 @@ enum Command {
 fn main() -> std::process::ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .without_time()
+        .log_internal_errors(false)
+        .init();
     let done = match Arguments::parse().command {
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
@@ -76,7 +82,7 @@ fn main() -> std::process::ExitCode {
     match done {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", unopose_core::explain(error.as_ref()));
+            tell!("error: {}", unopose_core::explain(error.as_ref()));
             match error.downcast_ref::<SegmentError>() {
                 Some(SegmentError::NotFound { .. }) => std::process::ExitCode::from(NOT_FOUND),
                 _ => std::process::ExitCode::FAILURE,

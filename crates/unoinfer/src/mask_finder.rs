@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use unopose_cli::say;
 use unopose_core::frame::{MaskedView, RgbdFrame};
 use unopose_dataset::formats::{FormatError, image_io::write_mask};
 use unopose_infer::{View, ViewFiles};
@@ -61,7 +62,7 @@ impl<'a> MaskFinder<'a> {
         for (index, (proposal, score)) in found.instances.into_iter().enumerate() {
             let path = out.join(format!("mask_{index}.png"));
             write_mask(&path, &proposal.mask)?;
-            println!("{}: segmentation score {score:.3}, {:.3} s", path.display(), found.seconds);
+            say!("{}: segmentation score {score:.3}, {:.3} s", path.display(), found.seconds);
             masks.push(path);
             view.masks.push(proposal.mask);
         }

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::bail;
 use clap::Args;
 use unopose_cli::DeviceOption;
-use unopose_core::config::Precision;
+use unopose_core::config::{Config, HypothesisConfig, ModelConfig, Precision};
 use unopose_dataset::formats::{DatasetSplits, camera::DEPTH_SCALES, image_io::MaskValue};
-use unopose_infer::{InferError, PoseEstimator, Refinement};
+use unopose_infer::{PoseEstimator, Refinement};
 use unopose_nn::device::DeviceChoice;
 
 /// What camera files of other tools do not say.
@@ -74,6 +75,8 @@ pub struct EstimatorOptions {
     /// Number type of the network's products: f32, or bf16 (for GPUs)
     #[arg(long, default_value_t)]
     precision: Precision,
+    #[command(flatten)]
+    hypotheses: HypothesisOptions,
     /// Refinement after the network: none, icp or gicp (local, at most 30 mm and 15 degrees)
     #[arg(long, default_value = "none")]
     refine: Refinement,
@@ -83,6 +86,28 @@ pub struct EstimatorOptions {
     /// Confidence below which an estimate is reported as not confident [default: that of the checkpoint's calibration]
     #[arg(long, value_name = "P", value_parser = probability)]
     min_confidence: Option<f64>,
+}
+
+/// Changes of what needs no training.
+#[derive(Args)]
+pub struct HypothesisOptions {
+    /// Change how pose hypotheses are made and judged, for example `--set model.hypotheses.starts=1`. Repeatable
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    overrides: Vec<String>,
+}
+
+impl HypothesisOptions {
+    /// The changed part of `config`.
+    pub fn apply(&self, config: &ModelConfig) -> anyhow::Result<HypothesisConfig> {
+        if let Some(other) = self.overrides.iter().find(|set| !set.trim().starts_with("model.hypotheses.")) {
+            bail!(
+                "--set {other}: expected model.hypotheses.KEY=VALUE; everything else is fixed by the training"
+            );
+        }
+        let config = Config { model: config.clone(), ..Config::default() };
+        let changed = Config::from_toml(&config.to_toml()?, Path::new("--set"), &self.overrides)?;
+        Ok(changed.model.hypotheses)
+    }
 }
 
 fn probability(text: &str) -> Result<f64, String> {
@@ -98,12 +123,14 @@ impl EstimatorOptions {
         self.device.choice()
     }
 
-    pub fn estimator(&self) -> Result<PoseEstimator, InferError> {
+    pub fn estimator(&self) -> anyhow::Result<PoseEstimator> {
         let estimator = match &self.checkpoint {
             Some(path) => PoseEstimator::load(path, self.device())?,
             None => PoseEstimator::load_default(self.device())?,
         };
+        let hypotheses = self.hypotheses.apply(estimator.config())?;
         Ok(estimator
+            .with_hypotheses(hypotheses)
             .with_precision(self.precision)?
             .with_seed(self.seed)
             .with_refinement(self.refine)

@@ -4,6 +4,7 @@ use std::{
     sync::Mutex,
     time::{Duration, Instant},
 };
+use unopose_cli::tell;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -38,7 +39,7 @@ impl ProgressDisplay {
             *last_line = Instant::now();
             let per_item = self.start.elapsed().as_secs_f64() / done.max(1) as f64;
             let left = per_item * total.saturating_sub(done) as f64;
-            eprintln!("{} {done}/{total}, {per_item:.2} s each, {left:.0} s left", self.label);
+            tell!("{} {done}/{total}, {per_item:.2} s each, {left:.0} s left", self.label);
         }
     }
 

@@ -7,6 +7,7 @@ use std::{
 
 use clap::Args;
 use serde::Serialize;
+use unopose_cli::{say, tell};
 use unopose_dataset::{
     formats::{detections::read_detections, files::write_json, targets::read_annotated_targets},
     protocol::{TargetList, UsableDetections},
@@ -74,14 +75,14 @@ fn poses(arguments: &ScoreArguments, results: &Path) -> anyhow::Result<()> {
 /// The detections of a list that are not used, on stderr: how many, and why.
 pub fn print_unused(list: &TargetList) {
     for line in UsableDetections::messages(&list.skipped, &list.ids) {
-        eprintln!("{line}");
+        tell!("{line}");
     }
 }
 
 /// What makes the scores doubtful, on stderr.
 pub fn print_warnings(input: &InputReport) {
     for warning in &input.warnings {
-        eprintln!("WARNING: {warning}");
+        tell!("WARNING: {warning}");
     }
 }
 
@@ -103,7 +104,7 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     let mut all = DetectionScores { input: InputReport::of_detections(&usable), ..Default::default() };
     for (name, kind) in [("segm", RegionKind::Mask), ("bbox", RegionKind::Box)] {
         let scores = coco_scores(&split, &targets, &detections, kind)?;
-        println!(
+        say!(
             "{name}: mAP {:.4}, AP50 {:.4}, AP75 {:.4}, AR100 {:.4} ({} instances, {} ignored, {} of {} detections outside)",
             scores.map,
             scores.ap50,
@@ -119,7 +120,7 @@ fn detections(arguments: &ScoreArguments, path: &Path) -> anyhow::Result<()> {
     if let Some(folder) = &arguments.out {
         write_json(&folder.join("coco.json"), &all, true)?;
     }
-    unused.iter().for_each(|line| eprintln!("{line}"));
+    unused.iter().for_each(|line| tell!("{line}"));
     Ok(usable.require_any(&ids, &place)?)
 }
 
@@ -138,16 +139,16 @@ pub fn print(evaluation: &Evaluation) {
     let scores = &evaluation.scores;
     let line = |name: &str, recall: &AverageRecall| {
         let AverageRecall { ar, ar_vsd, ar_mssd, ar_mspd, n_targets } = recall;
-        println!("{name:<16} {ar:>7.4} {ar_vsd:>7.4} {ar_mssd:>7.4} {ar_mspd:>7.4} {n_targets:>8}");
+        say!("{name:<16} {ar:>7.4} {ar_vsd:>7.4} {ar_mssd:>7.4} {ar_mspd:>7.4} {n_targets:>8}");
     };
-    println!("{:<16} {:>7} {:>7} {:>7} {:>7} {:>8}", "", "AR", "VSD", "MSSD", "MSPD", "targets");
+    say!("{:<16} {:>7} {:>7} {:>7} {:>7} {:>8}", "", "AR", "VSD", "MSSD", "MSPD", "targets");
     line("all", &scores.recall);
     let (draws, seed) = RESAMPLES;
     let [vsd, mssd, mspd] = error_type_intervals(&evaluation.targets, draws, seed);
     let all = [average_recall_interval(&evaluation.targets, draws, seed), vsd, mssd, mspd];
     let ends = |name: &str, end: fn(&Interval) -> f64| {
         let [ar, vsd, mssd, mspd] = all.map(|interval| end(&interval));
-        println!("{name:<16} {ar:>7.4} {vsd:>7.4} {mssd:>7.4} {mspd:>7.4}");
+        say!("{name:<16} {ar:>7.4} {vsd:>7.4} {mssd:>7.4} {mspd:>7.4}");
     };
     ends("95 % from", |interval| interval.low);
     ends("95 % to", |interval| interval.high);
@@ -164,26 +165,32 @@ pub fn print(evaluation: &Evaluation) {
         line(&format!("{:.0}-{:.0} degrees", bin.from, bin.to), &bin.recall);
     }
     let (map, accuracy) = (&scores.detection, &scores.accuracy);
-    println!("mAP {:.4} (MSSD {:.4}, MSPD {:.4})", map.map, map.map_mssd, map.map_mspd);
-    println!(
+    say!("mAP {:.4} (MSSD {:.4}, MSPD {:.4})", map.map, map.map_mssd, map.map_mspd);
+    say!(
         "AUC of ADD {:.4}, of ADD-S {:.4}; within 10 % of the diameter: ADD {:.4}, ADD-S {:.4}, ADD(-S) {:.4}",
-        accuracy.add_auc, accuracy.add_s_auc, accuracy.add_01d, accuracy.add_s_01d, accuracy.add_or_add_s_01d
+        accuracy.add_auc,
+        accuracy.add_s_auc,
+        accuracy.add_01d,
+        accuracy.add_s_01d,
+        accuracy.add_or_add_s_01d
     );
-    println!(
+    say!(
         "angular error {:.1} degrees, below 15 degrees {:.4}, below 30 degrees {:.4}",
-        accuracy.angular_error_deg, accuracy.acc15, accuracy.acc30
+        accuracy.angular_error_deg,
+        accuracy.acc15,
+        accuracy.acc30
     );
     if scores.n_strangers > 0 {
-        println!("{} results are of images or objects that are no targets", scores.n_strangers);
+        say!("{} results are of images or objects that are no targets", scores.n_strangers);
     }
     if !scores.input.unread_images.is_empty() {
-        println!("{} images could not be read", scores.input.unread_images.len());
+        say!("{} images could not be read", scores.input.unread_images.len());
     }
     for (what, seconds) in [("image", scores.mean_time_per_image_s), ("pair", scores.mean_time_per_pair_s)] {
         if seconds >= 0.0 {
-            println!("{seconds:.3} s per {what}");
+            say!("{seconds:.3} s per {what}");
         } else {
-            println!("time per {what} unknown");
+            say!("time per {what} unknown");
         }
     }
 }

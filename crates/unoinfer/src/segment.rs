@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
+use unopose_cli::say;
 use unopose_core::{
     frame::{BoundingBox, DepthMap, Mask, MaskedView, RgbdFrame},
     geometry::Intrinsics,
@@ -122,7 +123,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         let chosen = generator.segment_prompt(&frame, prompt)?;
         let mask = arguments.out.join("mask.png");
         write_mask(&mask, &chosen.mask)?;
-        println!("{}: {} pixels", mask.display(), chosen.mask.count());
+        say!("{}: {} pixels", mask.display(), chosen.mask.count());
         let masks = [(&chosen, f64::from(chosen.score))];
         return write(&arguments.out, &frame, &masks, start.elapsed().as_secs_f64());
     }
@@ -201,8 +202,8 @@ fn write(out: &Path, frame: &RgbdFrame, masks: &[(&Proposal, f64)], seconds: f64
     for (proposal, score) in masks.iter().take(10) {
         let b = &proposal.bounds;
         let size = [b.col_max - b.col_min, b.row_max - b.row_min];
-        println!("score {score:.3}, box {},{},{},{}", b.col_min, b.row_min, size[0], size[1]);
+        say!("score {score:.3}, box {},{},{},{}", b.col_min, b.row_min, size[0], size[1]);
     }
-    println!("{} masks in {seconds:.3} s: {} and masks.png", masks.len(), out.join("masks.json").display());
+    say!("{} masks in {seconds:.3} s: {} and masks.png", masks.len(), out.join("masks.json").display());
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use unopose_cli::{say, tell};
 use unopose_dataset::formats::{
     BopSplit, DatasetSplits, Target,
     detections::write_detections,
@@ -47,7 +48,7 @@ pub fn segment_dataset<M: Matcher>(
     let found = segment_targets(&unoseg, &targets, &split, &views, &out.join("images"), show)?;
     progress.finish();
     for (object, reason) in &found.unusable {
-        eprintln!("{object}: {reason}");
+        tell!("{object}: {reason}");
     }
     let path = out.join("detections.json");
     write_detections(&path, &found.detections)?;
@@ -58,13 +59,13 @@ pub fn segment_dataset<M: Matcher>(
             && is_annotated(&split, t)
     });
     if all.is_empty() {
-        println!("{NOT_SCORED}\n{}", path.display());
+        say!("{NOT_SCORED}\n{}", path.display());
         return Ok((path, None));
     }
     let seconds = [found.seconds.as_slice(), &found.proposal_seconds];
     let scores = score_segmentation(&split, &all, &found.detections, &found.proposals, seconds)?;
     scores.write(&out.join("scores.json"))?;
-    println!(
+    say!(
         "segmentation: mAP {:.3}, AP50 {:.3}; proposals: recall {:.3} at 0.5, {:.3} at 0.75 of {} targets, {:.1} per image; \
          {:.3} s per image, {:.3} s of it proposals",
         scores.map,
@@ -76,7 +77,7 @@ pub fn segment_dataset<M: Matcher>(
         scores.mean_time_per_image_s,
         scores.mean_proposal_time_per_image_s
     );
-    println!("{}", path.display());
+    say!("{}", path.display());
     Ok((path, Some(scores)))
 }
 
@@ -87,5 +88,5 @@ fn is_annotated(split: &BopSplit, target: &Target) -> bool {
         return false;
     }
     let visible = scene.gt_info(target.im_id);
-    visible.inspect_err(|error| eprintln!("{error}: the image does not count")).is_ok()
+    visible.inspect_err(|error| tell!("{error}: the image does not count")).is_ok()
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::Args;
 use unopose_bench::verify::{Kind, ReferenceTensors, Subject, Tolerances, fit_config, guess_config, verify};
-use unopose_cli::DeviceOption;
+use unopose_cli::{DeviceOption, say, tell};
 use unopose_core::config::{Config, EmbeddingEvaluation, Quirks};
 use unopose_nn::checkpoint::{self, OfficialState};
 
@@ -44,16 +44,16 @@ pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
     let inside = checkpoint::read_config(&arguments.weights).ok();
     let beside = arguments.weights.with_file_name("config.json");
     let official = OfficialState::read(&arguments.weights)?;
-    official.notices.iter().for_each(|notice| eprintln!("{notice}"));
+    official.notices.iter().for_each(|notice| tell!("{notice}"));
     let mut config = match (&arguments.config, inside) {
         (Some(path), _) => read_config(path)?,
         (None, Some(inside)) => inside,
         (None, None) if beside.exists() => {
-            eprintln!("configuration: {}", beside.display());
+            tell!("configuration: {}", beside.display());
             read_config(&beside)?
         }
         (None, None) => {
-            eprintln!("no configuration: the release's, with the sizes of weights and tensors");
+            tell!("no configuration: the release's, with the sizes of weights and tensors");
             let mut config = Config::default();
             config.model.quirks = Quirks::release();
             official.sizes().apply(&mut config.model);
@@ -65,7 +65,7 @@ pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
     config.model.geo_embedding.evaluation = EmbeddingEvaluation::Exact;
     let model_config = fit_config(&config.model, &tensors)?;
     if !official.unused.is_empty() {
-        eprintln!("stored but not used: {}", official.unused.join(", "));
+        tell!("stored but not used: {}", official.unused.join(", "));
     }
     let batches_tracked = official.batches_tracked.clone();
     let model = official.into_model(&model_config, &device)?;
@@ -76,7 +76,7 @@ pub fn run(arguments: &VerifyArguments) -> anyhow::Result<()> {
         batches_tracked: &batches_tracked,
     };
     let report = verify(&subject, &tensors, &tolerances, &device)?;
-    println!("{report}");
+    say!("{report}");
     if !report.passes() {
         bail!("{} does not reproduce {}", arguments.weights.display(), arguments.tensors.display());
     }

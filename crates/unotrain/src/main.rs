@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Parser;
-use unopose_cli::{DeviceOption, print_text};
+use unopose_cli::{DeviceOption, print_text, say, tell};
 use unopose_core::{config::Config, explain, interrupt::Interrupt};
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
@@ -90,11 +90,12 @@ fn main() -> ExitCode {
         )
         .with_writer(std::io::stderr)
         .without_time()
+        .log_internal_errors(false)
         .init();
     match run(Arguments::parse()) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("error: {}", explain(error.as_ref()));
+            tell!("error: {}", explain(error.as_ref()));
             ExitCode::FAILURE
         }
     }
@@ -103,7 +104,7 @@ fn main() -> ExitCode {
 fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let config = load(&arguments.config, &arguments.overrides)?;
     if arguments.print_config {
-        print_text(&config.to_commented_toml()?)?;
+        print_text(&config.to_commented_toml()?);
         return Ok(ExitCode::SUCCESS);
     }
     if let Some(threads) = arguments.threads {
@@ -113,9 +114,9 @@ fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let out = arguments.out.unwrap_or_else(|| Path::new("runs").join(&config.name));
     let interrupt = Arc::new(Interrupt::default());
     interrupt
-        .on_signals(|| eprintln!("saving; press Ctrl-C again to leave at once"))
+        .on_signals(|| tell!("saving; press Ctrl-C again to leave at once"))
         .context("cannot handle signals")?;
-    eprintln!("run {} on {backend}, results in {}", config.name, out.display());
+    tell!("run {} on {backend}, results in {}", config.name, out.display());
     let options = TrainOptions {
         out: out.clone(),
         data_root: arguments.data,
@@ -149,7 +150,7 @@ fn load(path: &Path, overrides: &[String]) -> anyhow::Result<Config> {
 
 fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>) {
     let step = outcome.step;
-    println!(
+    say!(
         "{}",
         match outcome.stop_reason {
             StopReason::AlreadyFinished => format!("already finished: {step} steps (--fresh starts again)"),
@@ -174,9 +175,9 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>
             record.average_recall.map_or("-".into(), |ar| format!("{ar:.3}")),
         ]);
     }
-    print!("{table}");
+    print_text(&table.to_string());
     match weights {
-        Some(path) => println!("weights: {}", path.display()),
-        None => println!("no weights yet; the same command goes on"),
+        Some(path) => say!("weights: {}", path.display()),
+        None => say!("no weights yet; the same command goes on"),
     }
 }

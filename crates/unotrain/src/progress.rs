@@ -7,6 +7,7 @@ use std::{
 };
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use unopose_cli::tell;
 use unopose_train::{Phase, PhaseExtent, TrainObserver};
 
 const LINE_EVERY: Duration = Duration::from_secs(20);
@@ -42,7 +43,7 @@ impl TrainObserver for ProgressBars {
     fn line(&self, text: &str) {
         match self.bars().get(&Phase::Training) {
             Some(bar) if !bar.bar.is_hidden() => bar.bar.println(text),
-            _ => eprintln!("{text}"),
+            _ => tell!("{text}"),
         }
     }
 }
@@ -76,7 +77,7 @@ impl Bar {
         self.bar.set_message(message.clone());
         if self.bar.is_hidden() && self.last_line.elapsed() >= LINE_EVERY {
             self.last_line = Instant::now();
-            eprintln!("{} {done}/{} {message}", self.label, self.extent.total);
+            tell!("{} {done}/{} {message}", self.label, self.extent.total);
         }
     }
 

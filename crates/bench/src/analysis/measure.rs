@@ -66,9 +66,9 @@ pub(crate) fn measure(
     let relative = truth.relative(network);
     let normalised = |pose: &Pose| normalised_pose(pose, cloud.center, reference.center, radius);
     let true_pose = normalised(&relative);
-    let last = stages.fine.as_ref().map_or(&stages.coarse, |fine| &fine.matched);
+    let last = stages.fine().map_or(&stages.coarse, |fine| &fine.matched);
     let (sparse_query, sparse_reference) = (sparse_points(cloud), sparse_points(reference));
-    let last_points = match &stages.fine {
+    let last_points = match stages.fine() {
         Some(_) => [&cloud.points, &reference.points],
         None => [&sparse_query, &sparse_reference],
     };
@@ -162,7 +162,7 @@ fn drawn_inliers(
 
 /// Median distance of the soft matches to the truth, and the share near it, of the points that overlap and are matched.
 fn fine_matches(trace: &Trace, t_reference_query: &Pose, nearest: &[f32]) -> (Option<f64>, Option<f64>) {
-    let Some(fine) = &trace.stages.fine else { return (None, None) };
+    let Some(fine) = trace.stages.fine() else { return (None, None) };
     let points = trace.cloud.points.iter().zip(&fine.solved.predicted).zip(&fine.solved.weights);
     let mut distances: Vec<f32> = points
         .zip(nearest)

@@ -126,6 +126,21 @@ pub struct HypothesisConfig {
     pub power: f32,
     /// How the kept triplets are scored.
     pub score: HypothesisScore,
+    /// Exponent of the colours' agreement: a pose's score is multiplied by exp(weight * correlation), the correlation of the
+    /// colours of the surface that both views see. 0: the shape alone decides.
+    pub color_weight: f32,
+    /// Exponent of the free space: a pose's score is multiplied by exp(-weight * share), the share of the surface that would
+    /// lie in space that a camera sees through.
+    pub free_space_weight: f32,
+    /// Fine stages from different hypotheses, of which the best scored result is taken.
+    pub starts: usize,
+}
+
+impl HypothesisConfig {
+    /// Whether poses are judged by the views' colours or free space.
+    pub fn uses_appearance(&self) -> bool {
+        self.color_weight != 0.0 || self.free_space_weight != 0.0
+    }
 }
 
 /// Score of a hypothesis; the best one starts the fine stage.
@@ -194,6 +209,14 @@ impl Default for FineConfig {
 
 impl Default for HypothesisConfig {
     fn default() -> Self {
-        Self { proposals: 6000, kept: 300, power: 1.5, score: HypothesisScore::default() }
+        Self {
+            proposals: 6000,
+            kept: 300,
+            power: 1.5,
+            score: HypothesisScore::default(),
+            color_weight: 0.0,
+            free_space_weight: 0.0,
+            starts: 1,
+        }
     }
 }

@@ -26,6 +26,15 @@ pub struct Evidence {
     pub agreement_deg: f64,
     /// Pixels of the query's mask that have depth.
     pub points: usize,
+    /// Agreement of the colours of the surface that both views see, in [-1, 1].
+    #[serde(default)]
+    pub color: f64,
+    /// Share of both surfaces that would lie in space that a camera sees through.
+    #[serde(default)]
+    pub in_front: f64,
+    /// Score of the best result from another start that is turned by more than 30 degrees, in shares of the winner's.
+    #[serde(default)]
+    pub runner_up: f64,
 }
 
 /// One kind of evidence as the calibration weighs it: higher speaks for the pose.
@@ -52,6 +61,12 @@ pub enum Feature {
     Agreement,
     /// Logarithm of [`Evidence::points`].
     Points,
+    /// [`Evidence::color`].
+    Color,
+    /// Minus [`Evidence::in_front`].
+    FreeSpace,
+    /// Minus [`Evidence::runner_up`].
+    RunnerUp,
 }
 
 /// Kinds of reasons why an estimate is not confident.
@@ -96,7 +111,7 @@ impl Support {
 
 impl Feature {
     /// In the order of the fit.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 13] = [
         Self::Fit,
         Self::OverlapQuery,
         Self::OverlapReference,
@@ -107,6 +122,9 @@ impl Feature {
         Self::Rival,
         Self::Agreement,
         Self::Points,
+        Self::Color,
+        Self::FreeSpace,
+        Self::RunnerUp,
     ];
 
     /// The number that is weighed: quantities that span decades by their logarithm.
@@ -122,6 +140,9 @@ impl Feature {
             Self::Rival => -evidence.rival,
             Self::Agreement => -evidence.agreement_deg.max(1.0).ln(),
             Self::Points => (evidence.points.max(1) as f64).ln(),
+            Self::Color => evidence.color,
+            Self::FreeSpace => -evidence.in_front,
+            Self::RunnerUp => -evidence.runner_up,
         }
     }
 
@@ -130,10 +151,14 @@ impl Feature {
         match self {
             Self::Points => ReasonKind::FewPoints,
             Self::OverlapQuery | Self::OverlapReference | Self::Matched => ReasonKind::LowOverlap,
-            Self::Rival => ReasonKind::Ambiguous,
-            Self::Fit | Self::Mass | Self::Residual | Self::CoarseScore | Self::Agreement => {
-                ReasonKind::PoorFit
-            }
+            Self::Rival | Self::RunnerUp => ReasonKind::Ambiguous,
+            Self::Fit
+            | Self::Mass
+            | Self::Residual
+            | Self::CoarseScore
+            | Self::Agreement
+            | Self::Color
+            | Self::FreeSpace => ReasonKind::PoorFit,
         }
     }
 
@@ -163,6 +188,19 @@ impl Feature {
             ),
             Self::Rival => format!(
                 "ambiguous: another rotation scores {} of this one, {} are typical",
+                percent(-value),
+                percent(-typical)
+            ),
+            Self::RunnerUp => format!(
+                "ambiguous: a refined pose with another rotation scores {} of this one, {} are typical",
+                percent(-value),
+                percent(-typical)
+            ),
+            Self::Color => {
+                format!("poor fit: the colours agree by {value:.2}, {typical:.2} is typical")
+            }
+            Self::FreeSpace => format!(
+                "poor fit: {} of the surface would lie in front of what the cameras see, {} are typical",
                 percent(-value),
                 percent(-typical)
             ),

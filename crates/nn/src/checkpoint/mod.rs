@@ -31,7 +31,7 @@ use burn::{
     store::{BurnToPyTorchAdapter, ModuleSnapshot, PyTorchToBurnAdapter, bridge},
     tensor::{Device, TensorData},
 };
-use unopose_core::config::{Config, ModelConfig};
+use unopose_core::config::{Config, ConfigError, ModelConfig};
 
 use crate::model::UnoPose;
 
@@ -118,12 +118,21 @@ pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
     meta_of(&TensorFile::read(path)?, path)
 }
 
-/// Sets an entry of a checkpoint's metadata and writes the file to `output` (which may be `path`).
-pub fn annotate(path: &Path, output: &Path, (key, value): (String, String)) -> Result<(), CheckpointError> {
+/// Sets entries of a checkpoint's metadata and writes the file to `output` (which may be `path`).
+pub fn annotate(
+    path: &Path,
+    output: &Path,
+    entries: impl IntoIterator<Item = (String, String)>,
+) -> Result<(), CheckpointError> {
     let mut file = TensorFile::read(path)?;
     meta_of(&file, path)?;
-    file.metadata.insert(key, value);
+    file.metadata.extend(entries);
     file.write(output)
+}
+
+/// The metadata entry that holds a configuration, for [`annotate`].
+pub fn config_entry(config: &Config) -> Result<(String, String), ConfigError> {
+    Ok(("config".into(), config.to_toml()?))
 }
 
 /// The configuration inside a checkpoint.

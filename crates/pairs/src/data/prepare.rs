@@ -4,12 +4,14 @@ use nalgebra::Vector3;
 use rand::Rng;
 use unopose_core::{
     config::ModelConfig,
-    frame::{Mask, RgbdFrame},
+    frame::{Mask, MaskedView, RgbdFrame},
     geometry::{
         BallGroups, LocalFrames, Pose, StructureIndices, ball_groups, farthest_point_sampling,
         global_reference_frame, radius_about_mean, structure_indices,
     },
 };
+
+use crate::appearance::AppearanceView;
 
 use super::{
     DataError,
@@ -34,6 +36,8 @@ pub struct CloudInput {
     pub structure: StructureIndices,
     /// Subtracted before the division by the radius, metres; zero with the quirk `uncentred_clouds`.
     pub center: [f32; 3],
+    /// What poses are judged by besides the points, where the configuration asks for it.
+    pub view: Option<AppearanceView>,
 }
 
 /// A reference view, prepared once for all its queries.
@@ -60,7 +64,9 @@ pub fn prepare_reference(
         color_augmentation: None,
     };
     let (selection, _) = select_reference(frame, mask, config, options, rng)?;
-    Ok(reference_from_points(&selection.points, &selection.choose, selection.rgb, config))
+    let mut prepared = reference_from_points(&selection.points, &selection.choose, selection.rgb, config);
+    prepared.cloud.view = view_of(frame, mask, config);
+    Ok(prepared)
 }
 
 /// Prepares a query view against a reference of `radius` metres. Pixels without depth never count.
@@ -74,7 +80,13 @@ pub fn prepare_query(
     let options =
         SelectionOptions { keep_zero_depth: false, min_points: MIN_POINTS, color_augmentation: None };
     let SampledView { points, choose, rgb } = select_query(frame, mask, radius, config, options, rng)?;
-    Ok(query_from_points(&points, &choose, rgb, radius, config))
+    let cloud = query_from_points(&points, &choose, rgb, radius, config);
+    Ok(CloudInput { view: view_of(frame, mask, config), ..cloud })
+}
+
+fn view_of(frame: &RgbdFrame, mask: &Mask, config: &ModelConfig) -> Option<AppearanceView> {
+    let wanted = config.hypotheses.uses_appearance();
+    wanted.then(|| AppearanceView::new(MaskedView { frame, mask })).flatten()
 }
 
 /// Reference from sampled points (metres, camera frame) and their indices in the crop `rgb` (`[3, S, S]`).
@@ -111,6 +123,7 @@ pub fn reference_from_points(
         structure: structure_of(&structure_points, config),
         sparse,
         center,
+        view: None,
     };
     PreparedReference { cloud, radius, groups }
 }
@@ -146,6 +159,7 @@ pub fn query_from_points(
         points: dense_points,
         sparse,
         center,
+        view: None,
     }
 }
 

@@ -155,7 +155,7 @@ fn a_calibrated_checkpoint_tells_its_confidence() {
         data: "none".into(),
     };
     let (weights, calibrated) = (files.at("weights.safetensors"), files.at("calibrated.safetensors"));
-    checkpoint::annotate(&weights, &calibrated, calibration.to_metadata()).unwrap();
+    checkpoint::annotate(&weights, &calibrated, [calibration.to_metadata()]).unwrap();
     let (pose, line) = confidence_of("calibrated.safetensors", &[]);
     assert_eq!((pose["confidence"].as_f64(), pose["confident"].as_bool()), (Some(0.5), Some(false)));
     let reasons = pose["reasons"].as_array().unwrap();

@@ -1,0 +1,13 @@
+//! Judges poses by what both cameras see: surfaces that must coincide, space that must be free, colours that must agree.
+//!
+//! Each view is a small map of its camera ([`AppearanceView`]); under a pose the surface points of either view are
+//! projected into the other's map ([`Agreement`]).
+
+mod agreement;
+mod view;
+
+pub use agreement::{Agreement, Detail};
+pub use view::AppearanceView;
+
+#[cfg(test)]
+mod tests;
