@@ -23,7 +23,9 @@ use super::{
     label::{overlap_share, relative_pose},
     normalised_pose,
     pose_noise::{PoseNoise, draw_rotation_std},
-    positional_groups, query_from_points, reference_from_points,
+    positional_groups,
+    prepare::view_of,
+    query_from_points, reference_from_points,
 };
 
 /// Rejected draws before a sample is given up.
@@ -209,7 +211,15 @@ impl PairSampler {
             };
             let frames = [&query_frame.frame, &reference_frame.frame];
             match augmented_pair(frames, views, pose, &self.data, &self.model, augment, rng) {
-                Ok(pair) if self.overlaps(&pair) => return Ok(self.prepare(pair, key, rng)),
+                Ok(pair) if self.overlaps(&pair) => {
+                    let mut sample = self.prepare(pair, key, rng);
+                    // Augmented points and colours are no longer those of the frames.
+                    if !augment {
+                        sample.query.view = view_of(frames[0], &views[0].mask(), &self.model);
+                        sample.reference.cloud.view = view_of(frames[1], &views[1].mask(), &self.model);
+                    }
+                    return Ok(sample);
+                }
                 Ok(_) => {}
                 Err(error) => problem = error,
             }

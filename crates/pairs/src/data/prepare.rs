@@ -84,7 +84,7 @@ pub fn prepare_query(
     Ok(CloudInput { view: view_of(frame, mask, config), ..cloud })
 }
 
-fn view_of(frame: &RgbdFrame, mask: &Mask, config: &ModelConfig) -> Option<AppearanceView> {
+pub(super) fn view_of(frame: &RgbdFrame, mask: &Mask, config: &ModelConfig) -> Option<AppearanceView> {
     let wanted = config.hypotheses.uses_appearance();
     wanted.then(|| AppearanceView::new(MaskedView { frame, mask })).flatten()
 }
