@@ -17,7 +17,7 @@ const OPEN3D_SCALE: f64 = 100.0;
 const MAX_NUMBERS: usize = 64;
 
 /// Which forms a camera may have, for messages.
-pub(super) const FORMS: &str = "expected cam_K or K (9 numbers), fx, fy, cx, cy (or ppx, ppy), intrinsic_matrix of Open3D, \
+pub(super) const FORMS: &str = "cam_K or K (9 numbers), fx, fy, cx, cy (or ppx, ppy), intrinsic_matrix of Open3D, \
                                 camera_matrix of ROS or OpenCV, or a text of 3 x 3 numbers";
 
 /// The fields of a camera.
@@ -42,7 +42,9 @@ impl<'a> Fields<'a> {
                 return Err(self.wrong("the other camera of the file", &format!("{other:?}"), &expected));
             }
             (Some((_, matrix)), _) | (None, Some(matrix)) => matrix,
-            (None, None) => return Err(FormatError::missing(self.place, "camera", FORMS)),
+            (None, None) => {
+                return Err(FormatError::missing(self.place, "camera", format!("expected {FORMS}")));
+            }
         };
         let depth_scale = self.number(&["depth_scale"])?;
         if let Some(scale) = depth_scale.filter(|scale| *scale >= OPEN3D_SCALE)
@@ -130,7 +132,7 @@ impl<'a> Fields<'a> {
             _ => {
                 let absent = values.iter().zip(FOCAL_AND_PRINCIPAL).filter(|(value, _)| value.is_none());
                 let names: Vec<&str> = absent.map(|(_, names)| names[0]).collect();
-                Err(FormatError::missing(self.place, names.join(", "), FORMS))
+                Err(FormatError::missing(self.place, names.join(", "), format!("expected {FORMS}")))
             }
         }
     }

@@ -72,14 +72,15 @@ fn object(bytes: &[u8], path: &Path) -> Result<Map<String, Value>, FormatError> 
     };
     // What `rostopic echo` writes ends with the beginning of another document.
     let documents: Vec<Value> = serde_saphyr::from_multiple(text).map_err(|error| {
-        let line = error.to_string().lines().next().unwrap_or_default().to_owned();
+        let text = error.to_string();
+        let line = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
         wrong("camera file", format!("no JSON, YAML or matrix ({line})"), FORMS)
     })?;
     match documents.into_iter().next() {
         Some(Value::Object(object)) => Ok(object),
         // A matrix with numbers as strings.
         Some(list @ Value::Array(_)) => Ok(Map::from_iter([("cam_K".to_owned(), list)])),
-        _ => Err(FormatError::missing(path.display(), "camera", FORMS)),
+        _ => Err(FormatError::missing(path.display(), "camera", format!("expected {FORMS}"))),
     }
 }
 

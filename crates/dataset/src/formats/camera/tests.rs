@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 use unopose_core::geometry::Intrinsics;
 
@@ -143,7 +143,7 @@ fn unusable_cameras_are_named() {
         ("1 2 3 4", "4 numbers, expected 9"),
         ("a camera", "camera not found"),
         ("camera_matrix: [1, 2\nb: }", "camera file is no JSON, YAML or matrix"),
-        ("K: [.nan, 0, 1, 0, 1, 1, 0, 0, 1]", "K is"),
+        ("K: [.nan, 0, 1, 0, 1, 1, 0, 0, 1]", "(line 1 column 5: non-finite float `.nan`"),
     ] {
         let message = message(text);
         assert!(message.contains(part), "{message}");
@@ -204,8 +204,9 @@ fn images_of_datasets_have_no_lens() {
     assert!(message.contains("scene_camera.json: image 3: lens distortion is [0.1"), "{message}");
     let written = serde_json::to_string(&CameraRecord { distortion: None, ..record }).unwrap();
     assert_eq!(written, r#"{"cam_K":[600.0,0.0,319.5,0.0,601.0,239.5,0.0,0.0,1.0],"depth_scale":0.1}"#);
-    let wrong = serde_json::from_str::<CameraRecord>(r#"{"cam_K": [1, 2]}"#).unwrap_err().to_string();
-    assert!(wrong.contains("cam_K is a list of 2 numbers") && wrong.contains("line 1"), "{wrong}");
+    let scene = serde_json::from_str::<BTreeMap<u32, CameraRecord>>("{\"7\":\n{\"cam_K\": [1, 2]}}");
+    let message = scene.unwrap_err().to_string();
+    assert!(message.contains("cam_K is a list of 2 numbers") && message.contains("line 2"), "{message}");
 }
 
 #[test]

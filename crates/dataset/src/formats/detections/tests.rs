@@ -133,7 +133,7 @@ fn what_a_form_lacks_is_named_with_the_form() {
         (annotated("[[1, 1, 3]]"), ["polygon 0 is a list of 3 numbers", "pairs x, y"]),
         (annotated("[[1, 1, 3, 1, 1e9, 2]]"), ["one with a corner at 1000000000.0", "near the image"]),
         (
-            annotation.replace("\"image_id\": 1", "\"image_id\": 9"),
+            annotated("[[1, 1]]").replace("\"image_id\": 1", "\"image_id\": 9"),
             ["annotation 0: image_id is 9", "ids in images"],
         ),
         (annotated("[[1, 1]]").replace("4,", "1000000000,"), ["size is [3, 1000000000]", "at most"]),
