@@ -16,7 +16,7 @@ use super::{
     archive::Archive,
     fault_log::{FaultCounts, FaultLog},
     index_files::IndexFiles,
-    instance::{InstanceRef, PLAUSIBLE_DISTANCE, instance_refs},
+    instance::{InstanceRef, instance_refs},
     records::{ImageRecords, MemberKind, from_json},
     shard_image::{ShardImage, check_camera, check_instances},
 };
@@ -206,7 +206,7 @@ fn scan_shard(number: u32, path: &Path) -> (u32, Archive, Vec<ImageInstances>, V
         Err(error) => return (number, empty, Vec::new(), vec![error.to_string()]),
     };
     let mut problems = std::mem::take(&mut archive.problems);
-    let (mut images, mut far) = (Vec::new(), 0);
+    let (mut images, mut far) = (Vec::new(), Vec::new());
     match archive.reader() {
         Ok(mut reader) => {
             for key in archive.images.keys() {
@@ -223,20 +223,15 @@ fn scan_shard(number: u32, path: &Path) -> (u32, Archive, Vec<ImageInstances>, V
                 match parsed {
                     Ok((gt, info)) => {
                         let (instances, left_out) = instance_refs(&gt, &info);
-                        far += left_out;
+                        far.extend(left_out.into_iter().map(|problem| format!("{key}: {problem}")));
                         images.push((key.clone(), instances));
                     }
                     Err(error) => problems.push(format!("{error}, image skipped")),
                 }
             }
-            if far > 0 {
-                let path = path.display();
-                problems.push(format!(
-                    "{path}: {far} visible instances skipped: cam_t_m2c puts them nearer than {} m or farther than {} m; \
-                     millimetres are expected",
-                    PLAUSIBLE_DISTANCE.start(),
-                    PLAUSIBLE_DISTANCE.end()
-                ));
+            if let Some(first) = far.first() {
+                let (path, count) = (path.display(), far.len());
+                problems.push(format!("{path}: {count} visible instances skipped, the first: {first}"));
             }
         }
         Err(error) => problems.push(error.to_string()),

@@ -46,7 +46,7 @@ impl FaultLog {
     pub fn unreadable(&self, image: u32, error: &FormatError) {
         let mut seen = self.lock();
         if seen.unreadable.insert(image) {
-            self.warn(seen.unreadable.len(), "images cannot be used", error);
+            self.warn(seen.unreadable.len(), "images skipped", error);
         }
     }
 
@@ -74,7 +74,7 @@ impl FaultLog {
 
     fn warn(&self, count: usize, what: &str, example: &dyn Display) {
         if count == 10usize.pow(count.ilog10()) {
-            tracing::warn!("{}: {count} {what} so far, for example {example}", self.folder.display());
+            tracing::warn!("{}: {what}: {count} so far, for example {example}", self.folder.display());
         }
     }
 

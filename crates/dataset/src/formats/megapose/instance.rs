@@ -1,15 +1,13 @@
 //! One instance of a set's index.
 
-use std::ops::RangeInclusive;
-
 use nalgebra::Vector3;
 
-use super::super::bop::{GtInfoRecord, GtRecord};
+use super::super::{
+    bop::{GtInfoRecord, GtRecord},
+    units,
+};
 
 const MM_PER_METRE: f64 = 1000.0;
-
-/// Distances of annotated objects to their camera, metres; what lies outside was written in another unit.
-pub const PLAUSIBLE_DISTANCE: RangeInclusive<f64> = 0.02..=20.0;
 
 /// One instance of one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,22 +24,22 @@ pub struct InstanceRef {
     pub px_count_visib: u32,
 }
 
-/// The instances of an image whose number is not known yet (0), and how many visible ones are left out because of their
-/// distance.
-pub(super) fn instance_refs(gt: &[GtRecord], info: &[GtInfoRecord]) -> (Vec<InstanceRef>, usize) {
-    let near =
-        |gt: &GtRecord| PLAUSIBLE_DISTANCE.contains(&(Vector3::from(gt.cam_t_m2c).norm() / MM_PER_METRE));
-    let pairs = || gt.iter().zip(info).enumerate();
-    let left_out = pairs().filter(|(_, (gt, info))| info.px_count_visib > 0 && !near(gt)).count();
-    let instances = pairs()
-        .filter(|(_, (gt, _))| near(gt))
-        .map(|(i, (gt, info))| InstanceRef {
-            image: 0,
-            instance: i as u32,
-            obj_id: gt.obj_id,
-            visib_fract: info.visib_fract as f32,
-            px_count_visib: info.px_count_visib,
-        })
-        .collect();
+/// The instances of an image whose number is not known yet (0), and what is wrong with the visible ones that are left out
+/// because of their distance.
+pub(super) fn instance_refs(gt: &[GtRecord], info: &[GtInfoRecord]) -> (Vec<InstanceRef>, Vec<String>) {
+    let (mut instances, mut left_out) = (Vec::new(), Vec::new());
+    for (i, (gt, info)) in gt.iter().zip(info).enumerate() {
+        match units::distance_problem(Vector3::from(gt.cam_t_m2c).norm() / MM_PER_METRE) {
+            None => instances.push(InstanceRef {
+                image: 0,
+                instance: i as u32,
+                obj_id: gt.obj_id,
+                visib_fract: info.visib_fract as f32,
+                px_count_visib: info.px_count_visib,
+            }),
+            Some(problem) if info.px_count_visib > 0 => left_out.push(format!("instance {i} {problem}")),
+            Some(_) => {}
+        }
+    }
     (instances, left_out)
 }

@@ -20,7 +20,7 @@ pub use dataset::ShardDataset;
 pub use fault_log::FaultCounts;
 pub use file::{ShardFile, ShardFileImage};
 pub use index_files::ReferenceEntry;
-pub use instance::{InstanceRef, PLAUSIBLE_DISTANCE};
+pub use instance::InstanceRef;
 pub use instance_fault::InstanceFault;
 pub use records::ImageRecords;
 pub use write_index::write_index_files;
