@@ -158,6 +158,9 @@ pub fn print(evaluation: &Evaluation) {
     for (id, recall) in &scores.per_scene {
         line(&format!("scene {id}"), recall);
     }
+    for (kind, print) in &scores.per_print {
+        line(&format!("print: {kind}"), &print.recall);
+    }
     for bin in &scores.per_visibility {
         line(&format!("visible {:.1}-{:.1}", bin.from, bin.to), &bin.recall);
     }
@@ -180,6 +183,10 @@ pub fn print(evaluation: &Evaluation) {
         accuracy.acc15,
         accuracy.acc30
     );
+    if !scores.per_print.is_empty() {
+        let shares = scores.per_print.iter().map(|(kind, print)| format!("{kind} {:.4}", print.acc15));
+        say!("below 15 degrees by what the shape leaves open: {}", shares.collect::<Vec<_>>().join(", "));
+    }
     if scores.n_strangers > 0 {
         say!("{} results are of images or objects that are no targets", scores.n_strangers);
     }

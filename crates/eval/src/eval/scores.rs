@@ -9,6 +9,7 @@ use super::{
     InputReport, PoseAccuracy, PoseAveragePrecision, TAUS, THRESHOLDS,
     bins::{ROTATION_EDGES, VISIBILITY_EDGES, bin_of},
     outcome::TargetOutcome,
+    prints::PrintScore,
 };
 
 /// Average recalls of a group of targets, each in 0..=1.
@@ -78,6 +79,9 @@ pub struct Scores {
     pub per_visibility: Vec<BinScore>,
     /// By degrees between target and reference view; empty when no list of references was given.
     pub per_rotation: Vec<BinScore>,
+    /// By what the shape leaves open (`axis`, `flip`, `none`), for datasets with a `print_decides.json`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub per_print: BTreeMap<String, PrintScore>,
     /// Input that was left out, and warnings.
     #[serde(flatten)]
     pub input: InputReport,
@@ -167,6 +171,7 @@ impl Scores {
             per_scene: grouped(targets, |t| t.scene_id),
             per_visibility: binned(targets, &VISIBILITY_EDGES, |t| Some(t.visib_fract)),
             per_rotation: binned(targets, &ROTATION_EDGES, |t| t.rot_deg),
+            per_print: BTreeMap::new(),
             input: InputReport::default(),
         }
     }

@@ -22,6 +22,7 @@ use super::{
     bins::RotationBins,
     input_report::model_problems,
     options::ScoreOptions,
+    prints::per_print,
     scored_image::{Image, ScoredImage},
     scores::{EstimateCounts, MeanTimes},
 };
@@ -163,6 +164,7 @@ pub(super) fn score_results(
     let (targets, ranked): (Vec<_>, Vec<_>) = scored.into_iter().map(|i| (i.targets, i.ranked)).unzip();
     let (targets, ranked) = (targets.concat(), ranked.concat());
     let mut scores = Scores::new(&targets, PoseAveragePrecision::new(&ranked), counts, mean_times(results));
+    scores.per_print = per_print(dataset, &targets)?;
     scores.input.warnings = warnings;
     scores.input.add_unread(&unread);
     Ok(Evaluation { scores, targets })

@@ -101,8 +101,15 @@ fn recalls_of_two_instances_and_a_missed_target() {
         result(0, 0.15 + 0.032, 0.8, 0.5),
         PoseResult { obj_id: 9, ..result(0, 0.0, 1.0, 0.5) },
     ];
+    let list = r#"[{"scene_id": 1, "im_id": 0, "obj_id": 1, "kind": "axis", "print_difference": 20.5},
+        {"scene_id": 1, "im_id": 1, "obj_id": 1, "kind": "flip"}]"#;
+    std::fs::write(folder.path().join("print_decides.json"), list).unwrap();
     let Evaluation { scores, targets } = score(folder.path(), &results).unwrap();
     assert_eq!((scores.recall.n_targets, scores.n_estimates, targets.len()), (3, 2, 3));
+    // Both instances of image 0 are turned right, the one of image 1 is missed.
+    let prints: Vec<_> =
+        scores.per_print.iter().map(|(kind, p)| (kind.as_str(), p.recall.n_targets, p.acc15)).collect();
+    assert_eq!(prints, [("axis", 2, 1.0), ("flip", 1, 0.0)]);
     // 3.2 cm: 11.3 % of the diameter misses 2 of 10 thresholds.
     assert!((scores.recall.ar_mssd - 18.0 / 30.0).abs() < 1e-12);
     // 3.2 px against 0.5, 1, ... 5 px in an image of 64 columns: below the last four.
