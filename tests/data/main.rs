@@ -2,6 +2,7 @@
 
 mod architecture;
 mod config_files;
+mod doctor;
 mod eval_oracle;
 mod fixtures;
 mod formats_dev;

@@ -10,10 +10,12 @@ pub const DISTANCE: RangeInclusive<f64> = 0.05..=20.0;
 const USUAL_RADIUS: RangeInclusive<f64> = 0.008..=0.5;
 /// Distances at which objects are handled and measured well, metres.
 const USUAL_DISTANCE: RangeInclusive<f64> = 0.15..=4.0;
+/// Largest radius of an object, distances: what is seen at a wider angle is no object, in whatever unit.
+const WIDEST: f64 = 0.6;
 /// The middle of both ranges, by which units are compared: distance and radius, metres.
 const MIDDLE: [f64; 2] = [0.7, 0.08];
 /// Depth units in use, millimetres, each with how much less it is to be expected (natural logarithm of a ratio).
-const UNITS: [(f64, f64); 6] = [(1.0, 0.0), (0.1, 0.0), (1000.0, 0.0), (0.25, 0.7), (0.2, 0.7), (10.0, 0.7)];
+const UNITS: [(f64, f64); 6] = [(1.0, 0.0), (0.1, 0.0), (1000.0, 0.0), (0.25, 1.5), (0.2, 1.5), (10.0, 1.5)];
 
 /// How likely a distance and a size are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,7 +42,7 @@ pub fn plausibility(distance: f64, radius: f64) -> Plausibility {
 /// By what `depth_scale` has to be multiplied to make the object a usual one. The result is one of the units in use where the
 /// present `depth_scale` is known, a power of ten otherwise; `None` when no unit helps, or none is needed.
 pub fn scale_correction(distance: f64, radius: f64, depth_scale: Option<f64>) -> Option<f64> {
-    if plausibility(distance, radius) == Plausibility::Usual {
+    if plausibility(distance, radius) == Plausibility::Usual || radius > WIDEST * distance {
         return None;
     }
     let units: Vec<(f64, f64)> = match depth_scale {
