@@ -5,6 +5,7 @@
 pub mod backbone_files;
 pub mod ellipsoid_views;
 pub mod pytorch_file;
+pub mod readers;
 pub mod reference_tensors;
 pub mod sam_case;
 pub mod tensor_fixture;

@@ -266,3 +266,15 @@ pub fn warnings(
     }
     Ok((object, warnings))
 }
+
+/// What a warning says about the unit of depth, if it does.
+pub fn unit_doubt(warning: &Warning) -> Option<String> {
+    let is_unit = [Check::Unit, Check::Pair].iter().any(|check| warning["check"] == json!(check));
+    is_unit.then(|| {
+        format!(
+            "{}; {}",
+            warning["text"].as_str().unwrap_or_default(),
+            warning["advice"].as_str().unwrap_or_default()
+        )
+    })
+}

@@ -12,12 +12,12 @@ use unopose_dataset::formats::{files::write_json, image_io::MaskValue};
 use unopose_doctor::{Expected, MaskedObject};
 use unopose_eval::report::overlay;
 use unopose_infer::{
-    Estimate, InferError, PoseEstimator, Reference, View, ViewFiles, ViewRole, query_folder,
+    Estimate, InferError, PoseEstimator, ReasonKind, Reference, View, ViewFiles, ViewRole, query_folder,
 };
 use unopose_segment::AnyMatcher;
 
 use super::{
-    doctor::{Warning, warnings},
+    doctor::{Warning, unit_doubt, warnings},
     mask_finder::MaskFinder,
     options::{CameraOptions, EstimatorOptions, MaskOptions},
     progress::ProgressDisplay,
@@ -218,7 +218,13 @@ fn estimate_view(
         let masked = MaskedView { frame: &view.frame, mask };
         found.extend(warnings(&place(files, i), masked, &expected, seen.object.as_ref())?.1);
     }
-    let results = estimator.estimate(reference, &view.frame, &view.masks);
+    let mut results = estimator.estimate(reference, &view.frame, &view.masks);
+    // A pose in the wrong unit can look as good as a right one.
+    if let Some(text) = found.iter().find_map(unit_doubt) {
+        for confidence in results.iter_mut().flatten().filter_map(|estimate| estimate.confidence.as_mut()) {
+            confidence.doubt(ReasonKind::DoubtfulUnit, text.clone());
+        }
+    }
     let best =
         results.iter().filter_map(|result| result.as_ref().ok()).max_by(|a, b| a.score.total_cmp(&b.score));
     let Some(best) = best else {

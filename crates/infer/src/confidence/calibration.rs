@@ -72,6 +72,14 @@ pub struct Confidence {
     pub reasons: Vec<Reason>,
 }
 
+impl Confidence {
+    /// Takes back the trust in the pose for a reason that the network cannot see; the probability stays what it says.
+    pub fn doubt(&mut self, kind: ReasonKind, text: String) {
+        self.confident = false;
+        self.reasons.insert(0, Reason { kind, text });
+    }
+}
+
 /// A reason why an estimate is not confident.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]

@@ -82,6 +82,8 @@ pub enum ReasonKind {
     Ambiguous,
     /// The matches disagree with the pose or with each other.
     PoorFit,
+    /// The unit of depth is probably another one, so the pose is at the wrong distance.
+    DoubtfulUnit,
 }
 
 /// Weights and distances of the fine matches.

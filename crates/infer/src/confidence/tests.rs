@@ -99,3 +99,15 @@ fn too_few_outcomes_of_one_kind_give_none() {
     assert!(Calibration::fit(&right, PoseCriterion::DEFAULT, "").is_none());
     assert!(Calibration::fit(&[], PoseCriterion::DEFAULT, "").is_none());
 }
+
+#[test]
+fn a_doubt_from_outside_takes_the_trust_and_comes_first() {
+    let calibration = fitted();
+    let sure = observed(4000, 3).into_iter().map(|(evidence, _)| calibration.judge(&evidence, 0.1));
+    let mut confidence = sure.max_by(|a, b| a.probability.total_cmp(&b.probability)).unwrap();
+    assert!(confidence.confident && confidence.reasons.is_empty());
+    let probability = confidence.probability;
+    confidence.doubt(ReasonKind::DoubtfulUnit, "9 m away".into());
+    assert_eq!((confidence.confident, confidence.probability), (false, probability));
+    assert_eq!(serde_json::to_value(&confidence.reasons).unwrap()[0]["kind"], "doubtful_unit");
+}
