@@ -25,6 +25,8 @@ pub struct Sampling {
     pub images: usize,
     /// Split of a BOP dataset; `None`: its test split, or else its first one.
     pub split: Option<String>,
+    /// Camera of scenes with several, `cam1` in `rgb_cam1/`.
+    pub sensor: Option<String>,
     /// Points that the network samples.
     pub points: usize,
 }
@@ -98,7 +100,7 @@ impl DatasetReport {
 
 /// Looks at a sample of a BOP dataset or of a folder of MegaPose shards.
 pub fn examine_dataset(folder: &Path, sampling: &Sampling) -> Result<DatasetReport, FormatError> {
-    let dataset = BopDataset::open(folder)?;
+    let dataset = BopDataset::open(folder)?.with_sensor(sampling.sensor.clone());
     let splits = dataset.splits()?;
     if splits.is_empty() {
         return examine_shards(&ShardDataset::open(folder)?, sampling);
@@ -117,8 +119,8 @@ fn examine_split(split: &BopSplit, sampling: &Sampling) -> Result<DatasetReport,
         images.extend(split.scene(scene_id)?.image_ids().map(|im_id| (scene_id, im_id)));
     }
     Ok(examine(&images, sampling, |&(scene_id, im_id)| {
-        let place = split.folder().join(format!("{scene_id:06}")).display().to_string();
-        let place = format!("{place}: image {im_id}");
+        let folder = split.scene_folder(scene_id).unwrap_or(split.folder());
+        let place = format!("{}: image {im_id}", folder.display());
         let scale = split.scene(scene_id).and_then(|scene| scene.camera(im_id)).ok();
         (place, split.load(scene_id, im_id), scale.and_then(|camera| camera.depth_scale))
     }))

@@ -64,6 +64,9 @@ pub struct DoctorArguments {
     /// Split of the BOP dataset [default: its test split]
     #[arg(long, requires = "dataset")]
     split: Option<String>,
+    /// Camera of its scenes with several, as cam1 in rgb_cam1 and scene_camera_cam1.json
+    #[arg(long, value_name = "NAME", requires = "dataset")]
+    sensor: Option<String>,
     /// Images of the dataset that are looked at, evenly over the set
     #[arg(long, value_name = "N", default_value_t = 20)]
     images: usize,
@@ -77,8 +80,9 @@ pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
     let model = Config::embedded("geo", &[])?.model;
     let wrong = match &arguments.dataset {
         Some(folder) => {
-            let (images, split) = (arguments.images, arguments.split.clone());
-            examine_set(folder, &Sampling { images, split, points: model.fine_points })?
+            let (split, sensor) = (arguments.split.clone(), arguments.sensor.clone());
+            let sampling = Sampling { images: arguments.images, split, sensor, points: model.fine_points };
+            examine_set(folder, &sampling)?
         }
         None => examine_views(arguments, [model.reference_points, model.fine_points])?,
     };

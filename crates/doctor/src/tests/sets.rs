@@ -24,7 +24,7 @@ fn write_set(root: &Path) {
 }
 
 fn examine(root: &Path, images: usize) -> DatasetReport {
-    examine_dataset(root, &Sampling { images, split: None, points: 1024 }).unwrap()
+    examine_dataset(root, &Sampling { images, split: None, sensor: None, points: 1024 }).unwrap()
 }
 
 fn level(report: &DatasetReport, check: Check) -> Level {
