@@ -218,8 +218,8 @@ fn scene(folder: &Path) -> Outcome {
     let camera = r#"{"0": {"cam_K": [600, 0, 320, 0, 600, 240, 0, 0, 1], "depth_scale": 1.0}}"#;
     std::fs::write(folder.join("test/000001/scene_camera.json"), camera)?;
     let scene = BopSplit::open(&folder.join("test"))?.scene(1)?;
-    for pose in scene.gt(0)? {
-        assert!(pose.t_camera_object.translation.iter().all(|x| x.is_finite()), "{pose:?}");
+    for record in scene.gt(0)? {
+        assert!(record.cam_t_m2c.iter().all(|x| x.is_finite()), "{record:?}");
     }
     Ok(())
 }
