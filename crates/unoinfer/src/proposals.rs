@@ -19,7 +19,7 @@ pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for
 #[derive(Args)]
 pub struct ProposalOptions {
     /// Proposals: embedded (from depth and colour), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
-    /// a list of masks of another segmenter in the COCO/BOP form [default: embedded]
+    /// a list of masks of another segmenter (JSON of BOP, COCO or SamAutomaticMaskGenerator) [default: embedded]
     #[arg(long, value_name = "SOURCE")]
     proposals: Option<String>,
     /// With weights of Segment Anything: clicks per side of its grid [default: 32]
