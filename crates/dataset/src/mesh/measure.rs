@@ -85,14 +85,14 @@ impl TriangleMesh {
         {
             return Err(InvalidMesh::NotFinite { index, value });
         }
-        let extent = self.bounds().size().into_iter().fold(0.0, f32::max);
-        if !PLAUSIBLE.contains(&extent) {
-            return Err(InvalidMesh::Extent { extent });
-        }
         for (face, corners) in self.faces.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
                 return Err(InvalidMesh::FaceIndex { face, vertex, vertices });
             }
+        }
+        let extent = self.bounds().size().into_iter().fold(0.0, f32::max);
+        if !PLAUSIBLE.contains(&extent) {
+            return Err(InvalidMesh::Extent { extent });
         }
         if self.area() <= 0.0 { Err(InvalidMesh::ZeroArea) } else { Ok(()) }
     }

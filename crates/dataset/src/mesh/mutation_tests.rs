@@ -9,6 +9,7 @@ use super::{
 };
 
 const MUTATIONS: u64 = 2500;
+const CHARACTERS: &[u8] = b"0123456789-/. \n,[]{}\"";
 
 /// One to four changes of bytes, digits, order or length.
 fn mutate(bytes: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
@@ -18,7 +19,7 @@ fn mutate(bytes: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
         match rng.random_range(0..8) {
             0..3 => bytes[at] ^= 1 << rng.random_range(0..8),
             3 => bytes[at] = rng.random(),
-            4 => bytes[at] = b"0123456789-/. \n,[]{}\""[rng.random_range(0..22)],
+            4 => bytes[at] = CHARACTERS[rng.random_range(0..CHARACTERS.len())],
             5 => {
                 let number: &[u8] =
                     [b"4294967295".as_slice(), b"-1", b"1e38", b"9999999999999999999"][at % 4];

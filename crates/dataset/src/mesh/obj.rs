@@ -18,10 +18,15 @@ pub(super) fn read(path: &Path) -> Result<TriangleMesh, MeshError> {
     let mut check = ObjCheck::new(&bytes);
     let mut lines = Lines::new(&bytes, |line, number| check.edit(line, number));
     let load_materials = |name: &Path| read_library(path, name);
-    let loaded = tobj::load_obj_buf(&mut lines, &options, load_materials).map_err(|e| lines.explain(e));
+    let loaded = tobj::load_obj_buf(&mut lines, &options, load_materials);
+    let reason = loaded.as_ref().err().map(|error| lines.explain(error)).unwrap_or_default();
     drop(lines);
-    let (models, materials) =
-        loaded.map_err(|reason| MeshError::read(path, check.out_of_range().unwrap_or(reason)))?;
+    let (models, materials) = loaded.map_err(|error| {
+        use tobj::LoadError::{FaceNormalOutOfBounds, FaceTexCoordOutOfBounds, FaceVertexOutOfBounds};
+        let ranges = [FaceVertexOutOfBounds, FaceTexCoordOutOfBounds, FaceNormalOutOfBounds];
+        let place = ranges.contains(&error).then(|| check.out_of_range()).flatten();
+        MeshError::read(path, place.unwrap_or(reason))
+    })?;
     let materials = materials.unwrap_or_default();
     let mut mesh = TriangleMesh::default();
     let with_uv = models.iter().any(|m| !m.mesh.texcoords.is_empty());
@@ -79,7 +84,7 @@ fn read_library(mesh: &Path, name: &Path) -> tobj::MTLLoadResult {
     let path = mesh.parent().unwrap_or(Path::new("")).join(name);
     let loaded = read_regular(&path).and_then(|bytes| {
         let mut lines = Lines::new(&bytes, |line, _| Ok(edit_mtl(line)));
-        tobj::load_mtl_buf(&mut lines).map_err(|e| lines.explain(e))
+        tobj::load_mtl_buf(&mut lines).map_err(|e| lines.explain(&e))
     });
     Ok(loaded.unwrap_or_else(|reason| {
         tracing::warn!(

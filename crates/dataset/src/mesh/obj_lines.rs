@@ -1,6 +1,9 @@
 //! The lines of OBJ and MTL files as `tobj` can read them: UTF-8, with every number checked that it relies on.
 
-use std::io::{BufRead, Read};
+use std::{
+    collections::HashSet,
+    io::{BufRead, Read},
+};
 
 use super::file::{decode, excerpt};
 
@@ -23,7 +26,7 @@ impl<'a, F: FnMut(&str, usize) -> Result<Option<String>, String>> Lines<'a, F> {
     }
 
     /// What is wrong, with the line that was read last.
-    pub fn explain(&self, error: tobj::LoadError) -> String {
+    pub fn explain(&self, error: &tobj::LoadError) -> String {
         match &self.error {
             Some(reason) => format!("line {}: {reason}", self.number),
             None => {
@@ -76,8 +79,12 @@ pub(super) struct ObjCheck {
     largest: [(usize, usize); 3],
     /// Whether any vertex has a colour.
     pub colored: bool,
+    /// Names of material libraries.
+    libraries: HashSet<String>,
 }
 
+/// Material libraries that a file may have.
+const MOST_LIBRARIES: usize = 64;
 const LISTS: [&str; 3] = ["vertex", "texture coordinate", "normal"];
 
 impl ObjCheck {
@@ -123,6 +130,10 @@ impl ObjCheck {
                 }
             }
             "usemtl" | "mtllib" if rest.is_empty() => return Ok(None),
+            // A library that is named again and again is read once.
+            "mtllib" if !self.libraries.insert(rest.to_owned()) || self.libraries.len() > MOST_LIBRARIES => {
+                return Ok(None);
+            }
             _ if named => {}
             _ => return Ok(None),
         }

@@ -26,7 +26,7 @@ impl Folder {
 
 /// A binary glTF file.
 pub(super) fn glb(json: &str, buffer: &[u8]) -> Vec<u8> {
-    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+    let json = format!("{json}{}", " ".repeat(json.len().next_multiple_of(4) - json.len()));
     let mut glb: Vec<u8> = b"glTF".to_vec();
     let total = 12 + 8 + json.len() + 8 + buffer.len();
     for word in [2, total as u32, json.len() as u32, 0x4E4F_534A] {

@@ -100,13 +100,13 @@ impl<'a> Buffers<'a> {
     /// Vertex indices, all below `vertices`.
     pub fn indices(&self, index: Index<Accessor>, vertices: usize) -> Result<Vec<u32>, String> {
         let i = index.value();
-        let packed = self.packed(index, &[Type::Scalar])?;
-        let read: fn(&[u8]) -> u32 = match packed.component {
+        let read: fn(&[u8]) -> u32 = match self.component(i)? {
             ComponentType::U8 => |b| b[0].into(),
             ComponentType::U16 => |b| u16::from_le_bytes([b[0], b[1]]).into(),
             ComponentType::U32 => |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
             other => return Err(format!("accessors[{i}]: indices are {other:?}, expected U8, U16 or U32")),
         };
+        let packed = self.packed(index, &[Type::Scalar])?;
         let indices: Vec<u32> = packed.bytes.chunks_exact(packed.component.size()).map(read).collect();
         match indices.iter().position(|&v| v as usize >= vertices) {
             Some(k) => {
@@ -127,14 +127,20 @@ impl<'a> Buffers<'a> {
         })
     }
 
+    fn component(&self, accessor: usize) -> Result<ComponentType, String> {
+        match &entry(&self.root.accessors, accessor, "accessors")?.component_type {
+            Checked::Valid(component) => Ok(component.0),
+            Checked::Invalid => Err(format!("accessors[{accessor}]: unknown componentType")),
+        }
+    }
+
     fn packed(&self, index: Index<Accessor>, kinds: &[Type]) -> Result<Packed<'_>, String> {
         let i = index.value();
         let accessor = entry(&self.root.accessors, i, "accessors")?;
-        let (Checked::Valid(component), Checked::Valid(kind)) = (&accessor.component_type, &accessor.type_)
-        else {
-            return Err(format!("accessors[{i}]: unknown componentType or type"));
+        let component = self.component(i)?;
+        let Checked::Valid(kind) = accessor.type_ else {
+            return Err(format!("accessors[{i}]: unknown type"));
         };
-        let (component, kind) = (component.0, *kind);
         if !kinds.contains(&kind) {
             return Err(format!("accessors[{i}]: type is {kind:?}, expected one of {kinds:?}"));
         }
