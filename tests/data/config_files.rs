@@ -67,5 +67,5 @@ fn values_out_of_range_name_the_field() {
     let text = message("", &["model.coarse.heads=3"]);
     assert!(text.contains("divisor of model.coarse.hidden_dim = 256"), "{text}");
     let text = message("", &["train.learning_rate=nan"]);
-    assert!(text.contains("train.learning_rate is NaN"), "{text}");
+    assert!(text.contains("train.learning_rate is not a finite number"), "{text}");
 }

@@ -26,7 +26,7 @@ fn mutate(sample: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
         match rng.random_range(0..8) {
             0..3 => bytes[at] ^= 1 << rng.random_range(0..8),
             3 => bytes[at] = rng.random(),
-            4 => bytes[at] = b"0123456789-/. \n,[]{}\""[rng.random_range(0..22)],
+            4 => bytes[at] = b"0123456789-/. \n,[]{}\""[rng.random_range(0..21)],
             5 => {
                 let numbers = ["4294967295", "-1", "1e308", "99999999999999999999", "NaN", "null"];
                 let number = numbers[rng.random_range(0..numbers.len())].bytes();

@@ -36,9 +36,10 @@ pub(super) fn json_from_value<T: DeserializeOwned>(value: &Value, place: &str) -
 }
 
 fn json_error(error: serde_path_to_error::Error<serde_json::Error>, place: impl Display) -> FormatError {
-    let path = match error.path().iter().next() {
-        Some(_) => format!("{place}: {}", error.path()),
-        None => place.to_string(),
+    // A text that ends too early has no field.
+    let path = match error.path().to_string().as_str() {
+        "." | "?" => place.to_string(),
+        field => format!("{place}: {field}"),
     };
     FormatError::Json { path: path.into(), source: error.into_inner() }
 }

@@ -134,6 +134,9 @@ fn camera(path: &Path) -> Result<(Intrinsics, [Option<u32>; 2]), FormatError> {
     let Ok([fx, _, k20, _, fy, k21, cx, cy, k22]) = <[f64; 9]>::try_from(k.as_slice()) else {
         return wrong("9 numbers, column-major");
     };
+    if [k20, k21, k22] != [0.0, 0.0, 1.0] {
+        return wrong("fx, 0, 0, s, fy, 0, cx, cy, 1: column by column");
+    }
     let rows = [fx, 0.0, cx, 0.0, fy, cy, k20, k21, k22];
     let intrinsics = Intrinsics::from_cam_k(&rows)
         .map_err(|source| FormatError::Intrinsics { place: path.display().to_string(), source })?;

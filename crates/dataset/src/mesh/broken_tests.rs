@@ -175,7 +175,7 @@ fn special_files_are_neither_meshes_nor_materials_nor_textures() {
     let folder = Folder::new();
     let pipe = folder.0.path().join("pipe.obj");
     assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-    assert!(load(&pipe, 1.0).unwrap_err().to_string().contains("pipe.obj: not a regular file"));
+    assert!(load(&pipe, 1.0).unwrap_err().to_string().contains("device, expected a regular file"));
     let vertices = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n";
     let device = format!("mtllib /dev/zero\n{vertices}usemtl a\nf 1 2 3\n");
     assert_eq!(load(&folder.write("a.obj", device), 1.0).unwrap().faces.len(), 1);

@@ -47,7 +47,8 @@ fn bad_meshes_are_named() {
         ..Default::default()
     };
     assert!(matches!(nan.validate(), Err(InvalidMesh::NotFinite { index: 1, .. })));
-    let far = TriangleMesh { vertices: vec![[0.0; 3]; 3], faces: vec![[0, 1, 7]], ..Default::default() };
+    let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let far = TriangleMesh { vertices, faces: vec![[0, 1, 7]], ..Default::default() };
     assert_eq!(far.validate(), Err(InvalidMesh::FaceIndex { face: 0, vertex: 7, vertices: 3 }));
     assert_eq!(TriangleMesh::default().validate(), Err(InvalidMesh::Empty { vertices: 0, faces: 0 }));
     assert!(load(Path::new("a.xyz"), 1.0).unwrap_err().to_string().contains("expected ply"));

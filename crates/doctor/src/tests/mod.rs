@@ -141,7 +141,7 @@ fn a_picture_shows_every_view_in_a_row() {
     assert_eq!(picture.dimensions(), (5 * 322, 2 * 242));
     // The box's points are seen in its colour from both sides, and the bar is white.
     let tile = |index: u32| imageops::crop_imm(&picture, 322 * index, 0, 320, 240).to_image();
-    let reddish = |tile: &RgbImage| tile.pixels().filter(|p| p.0[0] > 90 && p.0[0] > 2 * p.0[1]).count();
+    let reddish = |tile: &RgbImage| tile.pixels().filter(|p| p.0[0] > 90 && p.0[0] / 2 > p.0[1]).count();
     assert!(reddish(&tile(3)) > 2000 && reddish(&tile(4)) > 2000);
     let object = MaskedObject::measure(&view.points()).unwrap();
     assert_eq!(bar_length(&object), 0.05);

@@ -80,10 +80,31 @@ impl TensorFile {
         let checksum = checksum(&self.metadata, views.iter().map(|(name, view)| (name.as_str(), view)));
         let mut metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
         metadata.insert(CHECKSUM.into(), checksum);
-        let bytes = safetensors::serialize(views, Some(metadata))
-            .map_err(|e| CheckpointError::Format { path: path.to_owned(), message: e.to_string() })?;
-        Ok(write_atomic(path, |writer| writer.write_all(&bytes))?)
+        let format = |message: String| CheckpointError::Format { path: path.to_owned(), message };
+        let bytes = safetensors::serialize(views, Some(metadata)).map_err(|e| format(e.to_string()))?;
+        let (header, values) = sorted_header(&bytes).ok_or_else(|| format("no header was written".into()))?;
+        Ok(write_atomic(path, |writer| {
+            writer.write_all(&(header.len() as u64).to_le_bytes())?;
+            writer.write_all(&header)?;
+            writer.write_all(values)
+        })?)
     }
+}
+
+/// The header with its entries in order, so that equal contents are equal files, and the bytes behind it.
+fn sorted_header(file: &[u8]) -> Option<(Vec<u8>, &[u8])> {
+    const METADATA: &str = "__metadata__";
+    let (length, rest) = file.split_first_chunk::<8>()?;
+    let (header, values) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
+    let mut entries: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header).ok()?;
+    if let Some(metadata) = entries.remove(METADATA) {
+        let metadata: BTreeMap<String, String> = serde_json::from_value(metadata).ok()?;
+        entries.insert(METADATA.into(), serde_json::to_value(metadata).ok()?);
+    }
+    let mut header = serde_json::to_vec(&entries).ok()?;
+    // Values begin at multiples of eight bytes.
+    header.resize(header.len().next_multiple_of(8), b' ');
+    Some((header, values))
 }
 
 /// See [`CHECKSUM`]; `tensors` in the order of their names.

@@ -91,7 +91,7 @@ fn a_body_in_free_space_is_in_front_and_one_behind_the_surface_is_hidden() {
     // 3 cm towards the query camera: the reference floats in front of the query's surface, the query is hidden behind
     // the reference's.
     let near = of([0.0, 0.0, -0.03]);
-    assert!((near.in_front - 0.5).abs() < 0.1 && near.on_surface < 0.05, "{near:?}");
+    assert!((0.35..0.55).contains(&near.in_front) && near.on_surface < 0.1, "{near:?}");
     // Beside it the camera sees the wall, 0.3 m behind.
     let beside = of([0.06, 0.0, 0.0]);
     assert!(beside.in_front > 0.5, "{beside:?}");

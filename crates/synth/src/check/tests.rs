@@ -83,7 +83,7 @@ fn damage_in_shards_is_found_and_named() {
         r.camera.depth_scale = Some(100.0);
         d.data.iter_mut().for_each(|z| *z *= 1000.0);
     });
-    found("depth_scale is 1000000", &|_, _, _, r| r.camera.depth_scale = Some(1e308));
+    found("depth_scale is 1e308", &|_, _, _, r| r.camera.depth_scale = Some(1e308));
     found("mask size is 31623 x 31623", &|_, _, _, r| r.mask_visib[0].size = [31_623; 2]);
 
     let shard = broken.path().join("train_pbr_web").join(shard_file_name(1));

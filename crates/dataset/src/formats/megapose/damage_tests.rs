@@ -114,7 +114,7 @@ fn depth_in_another_unit_is_skipped() {
 fn what_no_camera_and_no_pose_has_is_refused_when_the_set_is_opened() {
     type Change = fn(&mut ImageRecords);
     let cases: [(Change, &str); 4] = [
-        (|r| r.camera.depth_scale = Some(1e308), "depth_scale is 1000000"),
+        (|r| r.camera.depth_scale = Some(1e308), "depth_scale is 1e308, expected 0.002 to 1000"),
         (|r| r.camera.depth_scale = None, "depth_scale not found"),
         (|r| r.gt[0].cam_r_m2c = [0.0; 9], "instance 0: cam_R_m2c is [0.0, 0.0"),
         (|r| r.gt_info.clear(), "number of instances is 0, expected 1"),
