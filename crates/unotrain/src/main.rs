@@ -12,7 +12,11 @@ use std::{
 use anyhow::Context as _;
 use clap::Parser;
 use unopose_cli::{DeviceOption, print_text, say, tell};
-use unopose_core::{config::Config, explain, interrupt::Interrupt};
+use unopose_core::{
+    config::{Config, MAX_THREADS},
+    explain,
+    interrupt::Interrupt,
+};
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
 use unopose_train::{StopReason, TrainOptions, TrainOutcome, train};
@@ -64,14 +68,12 @@ struct Arguments {
     #[command(flatten)]
     device: DeviceOption,
     /// Threads of the CPU backend and of data preparation [default: one per core].
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_THREADS)))]
     threads: Option<u16>,
 }
 
 /// Exit code of a call that stopped before what was asked for.
 const INTERRUPTED: u8 = 4;
-/// More than the processors of any machine.
-const MOST_THREADS: i64 = 1024;
 /// Ten years.
 const MOST_MINUTES: f64 = 60.0 * 24.0 * 3652.0;
 
