@@ -94,7 +94,7 @@ fn a_body_in_free_space_is_in_front_and_one_behind_the_surface_is_hidden() {
     assert!((0.35..0.55).contains(&near.in_front) && near.on_surface < 0.1, "{near:?}");
     // Beside it the camera sees the wall, 0.3 m behind.
     let beside = of([0.06, 0.0, 0.0]);
-    assert!(beside.in_front > 0.5, "{beside:?}");
+    assert!(beside.in_front > 0.3, "{beside:?}");
 }
 
 #[test]
