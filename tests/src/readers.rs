@@ -76,7 +76,7 @@ const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\npr
                    property list uchar int vertex_indices\nend_header\n0 0 0\n10 0 0\n0 10 0\n0 0 10\n3 0 1 2\n3 0 1 3\n";
 const OBJ: &str =
     "v 0 0 0 255 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf 1 2 4\n";
-const CONFIG: &str = "name = \"a\"\n[train]\nsteps = 20\nlearning_rate = 1e-3\n[model]\nimage_size = 56\n[model.color]\nkind = \"conv\"\n\
+const CONFIG: &str = "name = \"a\"\n[train]\nsteps = 5000\nlearning_rate = 1e-3\n[model]\nimage_size = 56\n[model.color]\nkind = \"conv\"\n\
                       channels = [8, 16, 32]\nout_dim = 32\n[synth]\nimages = 10\ndiameter = [0.05, 0.2]\n";
 
 fn text(text: &str) -> Vec<u8> {
