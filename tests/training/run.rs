@@ -238,7 +238,8 @@ fn the_best_weights_survive_a_kill_at_any_point() {
             if name.is_dir() { std::fs::remove_dir_all(name) } else { std::fs::remove_file(name) }.unwrap();
         }
     };
-    let cases: [(&str, u64, &dyn Fn(&Path)); 4] = [
+    type Kill<'a> = &'a dyn Fn(&Path);
+    let cases: [(&str, u64, Kill<'_>); 4] = [
         ("after the best weights", 0, &|run| remove(run, &["last.safetensors", "state-0", "metrics.jsonl"])),
         ("after the journal's line", 0, &|run| remove(run, &["last.safetensors", "state-0"])),
         ("between the state's folder and its weights", 0, &|run| remove(run, &["last.safetensors"])),
