@@ -20,7 +20,7 @@ pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), FormatError> {
     write_bytes(path, bytes)
 }
 
-/// Writes a 16-bit png of depth; the counterpart of [`read_depth`].
+/// Writes a 16-bit png of depth; the counterpart of [`read_depth`](super::read_depth).
 pub fn write_depth(path: &Path, depth: &DepthMap, depth_scale_to_mm: f64) -> Result<(), FormatError> {
     write_bytes(path, encode_depth(depth, depth_scale_to_mm))
 }
