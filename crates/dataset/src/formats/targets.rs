@@ -247,7 +247,8 @@ fn check_image(
     place: &str,
 ) -> Result<(), FormatError> {
     if split.scene_folder(scene_id).is_none() {
-        let expected = format!("a scene of {}: {:?}", split.folder().display(), split.scene_ids());
+        let other = if fields[0] == "ref_scene_id" { " (--reference-split names another split)" } else { "" };
+        let expected = format!("a scene of {}: {:?}{other}", split.folder().display(), split.scene_ids());
         return Err(FormatError::field(place, fields[0], scene_id, expected));
     }
     let scene = split.scene(scene_id)?;

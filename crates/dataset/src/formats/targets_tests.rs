@@ -119,4 +119,7 @@ fn references_need_annotations_and_targets_do_not() {
     for part in ["scene_gt.json: image 2 not found", "list.json: entry 1", "--reference-split"] {
         assert!(message.contains(part), "{message}");
     }
+    let elsewhere = ReferenceTarget { ref_scene_id: 7, ..entry(1, 0) };
+    let message = check_reference_targets(&[elsewhere], "list.json", &split, &split).unwrap_err().to_string();
+    assert!(message.contains("ref_scene_id is 7") && message.contains("--reference-split"), "{message}");
 }
