@@ -53,6 +53,10 @@ pub struct Arguments {
     /// Unit of the meshes in metres, 0.001 for millimetres.
     #[arg(long)]
     mesh_scale: Option<f32>,
+    /// Folder of photographs (jpg, png; searched recursively) for the prints of packages; makes 0.6 of the objects packages where
+    /// the configuration has none.
+    #[arg(long, value_name = "DIR")]
+    textures: Option<PathBuf>,
     /// Image width instead of the configuration's, pixels.
     #[arg(long)]
     width: Option<u32>,
@@ -69,6 +73,9 @@ pub struct Arguments {
     #[arg(long)]
     contact_sheet: Option<PathBuf>,
 }
+
+/// Share of packages with `--textures`.
+const PRINTED_WITH_TEXTURES: f32 = 0.6;
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Preset {
@@ -113,6 +120,12 @@ fn configuration(arguments: &Arguments) -> Result<SynthConfig> {
     config.width = arguments.width.unwrap_or(config.width);
     config.height = arguments.height.unwrap_or(config.height);
     config.mesh_scale = arguments.mesh_scale.unwrap_or(config.mesh_scale);
+    if let Some(folder) = &arguments.textures {
+        config.texture_folder.clone_from(folder);
+        if config.printed == 0.0 {
+            config.printed = PRINTED_WITH_TEXTURES;
+        }
+    }
     if let Some(objects) = &arguments.objects {
         match objects.parse() {
             Ok(count) => config.objects = count,

@@ -1,44 +1,30 @@
 //! Pictures for walls, floors and tables: a folder of photographs, or procedural ones.
 
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::sync::Arc;
 
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
 use unopose_core::config::SynthConfig;
 use unopose_dataset::render::{Finish, Surface};
 
-use super::{SynthError, random::Draw, texture};
-
-/// Longest side of a photograph in use, pixels.
-const LONGEST: u32 = 640;
+use super::{SynthError, photographs::Photographs, random::Draw, texture};
 
 /// Where surfaces of rooms come from.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Backgrounds {
-    files: Vec<PathBuf>,
+    photographs: Photographs,
 }
 
 impl Backgrounds {
     /// Lists the photographs in `synth.background_folder` where one is configured.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        let mut files = Vec::new();
-        if !config.background_folder.as_os_str().is_empty() {
-            collect(&config.background_folder, &mut files)?;
-            if files.is_empty() {
-                return Err(SynthError::NoPictures { folder: config.background_folder.clone() });
-            }
-            files.sort();
-        }
-        Ok(Self { files })
+        Ok(Self { photographs: Photographs::open(&config.background_folder)? })
     }
 
     /// A surface with a repeating material; `tile` is the range of its size in metres, `smooth` its least roughness.
     pub fn material(&self, pixels: u32, tile: [f32; 2], smooth: f32, rng: &mut ChaCha8Rng) -> Surface {
         let tile = rng.log_between(tile[0], tile[1]);
-        let picture = match self.photograph(0.3, rng) {
+        let picture = match self.photographs.draw(0.3, rng) {
             Some(photograph) => photograph,
             None => texture::tile(pixels, tile, rng),
         };
@@ -48,7 +34,7 @@ impl Backgrounds {
     /// A wall: shelves, posters, windows and shadows out of focus.
     pub fn wall(&self, rng: &mut ChaCha8Rng) -> Surface {
         let tile = rng.between(1.2, 4.0);
-        let picture = match self.photograph(0.8, rng) {
+        let picture = match self.photographs.draw(0.8, rng) {
             Some(photograph) => photograph,
             None if rng.chance(0.35) => texture::tile(128, tile, rng),
             None => texture::scenery(320, rng),
@@ -66,37 +52,9 @@ impl Backgrounds {
     pub fn plain(&self, rng: &mut ChaCha8Rng) -> Surface {
         surface(texture::plain(rng), 1.0, 0.3, rng)
     }
-
-    fn photograph(&self, share: f32, rng: &mut ChaCha8Rng) -> Option<RgbImage> {
-        if self.files.is_empty() || !rng.chance(share) {
-            return None;
-        }
-        let file = rng.pick(&self.files);
-        match image::open(file) {
-            Ok(picture) => Some(picture.thumbnail(LONGEST, LONGEST).into_rgb8()),
-            Err(error) => {
-                tracing::warn!("{}: {error}; a procedural picture takes its place", file.display());
-                None
-            }
-        }
-    }
 }
 
 fn surface(picture: RgbImage, tile: f32, smooth: f32, rng: &mut ChaCha8Rng) -> Surface {
     let finish = Finish { roughness: rng.between(smooth, 1.0), metallic: 0.0 };
     Surface { picture: Arc::new(picture), tile, angle: rng.between(0.0, std::f32::consts::TAU), finish }
-}
-
-fn collect(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), SynthError> {
-    let error = |source| SynthError::Io { path: folder.to_owned(), source };
-    for entry in std::fs::read_dir(folder).map_err(error)? {
-        let path = entry.map_err(error)?.path();
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        if path.is_dir() {
-            collect(&path, found)?;
-        } else if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
-            found.push(path);
-        }
-    }
-    Ok(())
 }

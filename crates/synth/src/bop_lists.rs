@@ -6,20 +6,36 @@ use std::{
     sync::Arc,
 };
 
+use serde::Serialize;
 use unopose_core::config::SynthConfig;
 use unopose_dataset::{
     formats::{
         BopDataset, ModelInfo,
         detections::{visible_instances, write_detections},
-        targets::write_targets,
+        files::write_json,
+        targets::{Target, write_targets},
     },
     mesh::TriangleMesh,
     protocol::{ListInput, Protocol, build_lists},
 };
 
-use super::{SynthError, object::SynthObject};
+use super::{
+    SynthError,
+    object::{LeftOpen, SynthObject},
+};
 
-/// Writes `test_targets_bop19.json`, `test_ref_targets_PROTOCOL.json` and `dets_gt.json`.
+/// What the shape of a target's object leaves open.
+#[derive(Serialize)]
+struct PrintDecides {
+    scene_id: u32,
+    im_id: u32,
+    obj_id: u32,
+    print_decides: bool,
+    kind: LeftOpen,
+}
+
+/// Writes `test_targets_bop19.json`, `test_ref_targets_PROTOCOL.json` and `dets_gt.json`, and `print_decides.json` for a set with
+/// packages.
 pub(super) fn write_lists(
     config: &SynthConfig,
     out: &Path,
@@ -34,6 +50,15 @@ pub(super) fn write_lists(
     let mut targets = built.targets;
     targets.sort_unstable();
     write_targets(&out.join("test_targets_bop19.json"), &targets)?;
+    if config.printed > 0.0 {
+        let kinds: HashMap<u32, LeftOpen> = objects.iter().map(|o| (o.obj_id, o.left_open)).collect();
+        let entry = |&Target { scene_id, im_id, obj_id, .. }: &Target| {
+            let kind = kinds.get(&obj_id).copied().unwrap_or_default();
+            PrintDecides { scene_id, im_id, obj_id, print_decides: kind != LeftOpen::None, kind }
+        };
+        let entries: Vec<PrintDecides> = targets.iter().map(entry).collect();
+        write_json(&out.join("print_decides.json"), &entries, true)?;
+    }
     for list in built.lists.iter().filter(|list| !list.entries.is_empty()) {
         let file = out.join(format!("test_ref_targets_{}.json", list.protocol.name()));
         write_targets(&file, &list.entries)?;

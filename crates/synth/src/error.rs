@@ -67,7 +67,7 @@ pub enum SynthError {
         /// The largest number accepted.
         most: usize,
     },
-    /// `synth.background_folder` holds no picture.
+    /// `synth.background_folder` or `synth.texture_folder` holds no picture.
     #[error("{}: no jpg or png files found", folder.display())]
     NoPictures {
         /// The folder that was searched.

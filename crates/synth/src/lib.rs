@@ -18,6 +18,7 @@ mod models;
 mod noise;
 mod object;
 mod object_cache;
+mod photographs;
 mod physics;
 mod place;
 mod progress;

@@ -8,6 +8,7 @@ use std::{
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
 use unopose_core::{config::SynthConfig, geometry::Pose};
 use unopose_dataset::{
     formats::{ModelInfo, ObjectSymmetries, SymmetryAxis},
@@ -19,6 +20,7 @@ use super::{
     SynthError,
     collision::{collision_hull, convex_parts},
     mesh_folder::MeshFolder,
+    photographs::Photographs,
     random::{Domain, Draw, stream},
     shapes::{self, Family, Symmetry},
     texture::{self, Look},
@@ -37,10 +39,36 @@ pub(super) struct SynthObject {
     pub finish: Finish,
     /// Symmetries that colour and shape share.
     pub symmetries: ObjectSymmetries,
+    /// What the shape alone leaves open.
+    pub left_open: LeftOpen,
     /// Corners of its convex hull, metres.
     pub hull: Vec<Point3<f32>>,
     /// Convex parts to collide with; empty where the hull is good enough.
     pub parts: Vec<Vec<Point3<f32>>>,
+}
+
+/// Rotations that map a shape onto itself while its colours tell them apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum LeftOpen {
+    /// No rotation.
+    #[default]
+    None,
+    /// Some.
+    Flip,
+    /// All about an axis.
+    Axis,
+}
+
+impl LeftOpen {
+    fn of(shape: &Symmetry, with_colors: &Symmetry) -> Self {
+        match (shape, with_colors) {
+            (_, colors) if !colors.is_none() => Self::None,
+            (shape, _) if shape.continuous => Self::Axis,
+            (shape, _) if !shape.is_none() => Self::Flip,
+            _ => Self::None,
+        }
+    }
 }
 
 impl SynthObject {
@@ -53,7 +81,8 @@ impl SynthObject {
     ) -> Self {
         let hull = collision_hull(&mesh.vertices);
         let parts = convex_parts(&mesh, &hull);
-        Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, hull, parts }
+        let left_open = LeftOpen::None;
+        Self { obj_id, name, mesh: Arc::new(mesh), finish, symmetries, left_open, hull, parts }
     }
 
     /// Its entry in `models_info.json`.
@@ -73,6 +102,8 @@ impl SynthObject {
 pub(super) struct ObjectLibrary {
     config: SynthConfig,
     folder: MeshFolder,
+    /// For prints.
+    photographs: Photographs,
     tried: Arc<Mutex<Tried>>,
 }
 
@@ -90,7 +121,8 @@ struct Tried {
 impl ObjectLibrary {
     /// Opens `synth.mesh_folder` where one is configured.
     pub fn new(config: &SynthConfig) -> Result<Self, SynthError> {
-        Ok(Self { config: config.clone(), folder: MeshFolder::open(config)?, tried: Arc::default() })
+        let (folder, photographs) = (MeshFolder::open(config)?, Photographs::open(&config.texture_folder)?);
+        Ok(Self { config: config.clone(), folder, photographs, tried: Arc::default() })
     }
 
     /// Object `obj_id` (1-based). A mesh file that cannot be used is reported and replaced by a procedural object.
@@ -119,15 +151,28 @@ impl ObjectLibrary {
 
     fn procedural(&self, obj_id: u32, diameter: f32, shape_rng: &mut ChaCha8Rng) -> SynthObject {
         // Families take turns, so that small sets have all of them.
-        let family = Family::ALL[(obj_id as usize * 7 + self.config.seed as usize) % Family::ALL.len()];
+        let turn = obj_id as usize * 7 + self.config.seed as usize;
+        let mut print_rng = stream(self.config.seed, Domain::Print, obj_id.into());
+        let printed = print_rng.chance(self.config.printed);
+        let families: &[Family] = if printed { &Family::PACKAGES } else { &Family::ALL };
+        let family = families[turn % families.len()];
         let solid = shapes::build(family, diameter, shape_rng);
-        let mut look_rng = stream(self.config.seed, Domain::Look, obj_id.into());
-        let size = solid.mesh.bounds().size();
-        let look = Look::draw(size, self.config.textureless, solid.symmetry.continuous, &mut look_rng);
+        let (size, revolved) = (solid.mesh.bounds().size(), solid.symmetry.continuous);
+        let look = if printed {
+            Look::package(size, revolved, &self.photographs, &mut print_rng)
+        } else {
+            let mut look_rng = stream(self.config.seed, Domain::Look, obj_id.into());
+            Look::draw(size, self.config.textureless, revolved, &mut look_rng)
+        };
         let mesh = texture::textured(&solid, &look, self.config.texture_size);
         // A print or a coarse pattern tells the sides apart.
-        let symmetries = object_symmetries(&look.remaining_symmetry(solid.symmetry, &solid.parts));
-        SynthObject::new(obj_id, format!("{}_{obj_id:06}", family.name()), mesh, look.finish, symmetries)
+        let remaining = look.remaining_symmetry(solid.symmetry, &solid.parts);
+        let symmetries = object_symmetries(&remaining);
+        let name = format!("{}_{obj_id:06}", family.name());
+        SynthObject {
+            left_open: LeftOpen::of(&solid.symmetry, &remaining),
+            ..SynthObject::new(obj_id, name, mesh, look.finish, symmetries)
+        }
     }
 
     fn load_file(&self, obj_id: u32, file: &Path, diameter: f32) -> Result<SynthObject, SynthError> {

@@ -18,6 +18,8 @@ pub(super) enum Domain {
     View = 5,
     /// Parameters of the depth camera; the index is the scene, counted over all shards.
     Sensor = 6,
+    /// Which objects are packages, and their prints; the index is the object's id.
+    Print = 7,
 }
 
 /// The generator of item `index` of a domain.

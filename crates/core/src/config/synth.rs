@@ -46,6 +46,11 @@ pub struct SynthConfig {
     pub texture_size: u32,
     /// Share of procedural objects of plain colour.
     pub textureless: f32,
+    /// Share of procedural objects that are packages: cans, bottles, cartons, books, plates, cushions, covered by prints
+    /// that repeat nowhere, so that only the print tells how they are turned.
+    pub printed: f32,
+    /// Folder with photographs (jpg, png; searched recursively) for the prints of such objects. Empty: procedural pictures.
+    pub texture_folder: PathBuf,
     /// Share of scenes that are frozen while the objects still tumble.
     pub tumbling: f32,
     /// Folder with meshes (ply, obj, stl, glb; searched recursively) to use besides the procedural objects. Empty: none.
@@ -190,6 +195,8 @@ impl Default for SynthConfig {
             diameter: [0.07, 0.28],
             texture_size: 384,
             textureless: 0.2,
+            printed: 0.0,
+            texture_folder: PathBuf::new(),
             tumbling: 0.25,
             mesh_folder: PathBuf::new(),
             mesh_layout: MeshLayout::Detect,

@@ -58,6 +58,22 @@ impl Family {
         Family::Tube,
     ];
 
+    /// Those whose shape mostly leaves the pose open, as often as packages have them.
+    pub const PACKAGES: [Family; 12] = [
+        Family::Can,
+        Family::Can,
+        Family::Can,
+        Family::Can,
+        Family::Box,
+        Family::Box,
+        Family::Box,
+        Family::Bottle,
+        Family::Bottle,
+        Family::Book,
+        Family::Bowl,
+        Family::Superquadric,
+    ];
+
     /// Lower-case name, also used in object names.
     pub fn name(self) -> &'static str {
         match self {

@@ -26,7 +26,7 @@ impl Symmetry {
     }
 
     /// No symmetry at all.
-    pub(super) fn is_none(&self) -> bool {
+    pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }

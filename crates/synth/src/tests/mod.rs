@@ -4,10 +4,13 @@ mod sets;
 use nalgebra::{Point3, Vector3};
 use parry3d::{query::RayCast, shape::TriMesh};
 use unopose_core::{config::SynthConfig, frame::Mask};
-use unopose_dataset::render::{Camera, SceneRenderer, instance_views};
+use unopose_dataset::{
+    formats::ObjectSymmetries,
+    render::{Camera, SceneRenderer, instance_views},
+};
 
 use super::{
-    object::ObjectLibrary,
+    object::{LeftOpen, ObjectLibrary, SynthObject},
     random::{Domain, stream},
     scene::{self, Arrangement, SceneAssets},
     *,
@@ -132,6 +135,34 @@ fn vertices_project_into_the_silhouette_and_visibility_follows_from_the_masks() 
             }
         }
     }
+}
+
+#[test]
+fn only_the_print_tells_how_a_package_is_turned() {
+    let plain = SynthConfig { printed: 0.0, textureless: 1.0, ..small() };
+    let library = |config: &SynthConfig| ObjectLibrary::new(config).unwrap();
+    let axis = |object: &SynthObject| !object.symmetries.continuous.is_empty();
+    // Every plain body of revolution is symmetric; no package is.
+    let plain: Vec<SynthObject> = (1..=32).map(|id| library(&plain).build(id)).collect();
+    assert!(plain.iter().any(axis));
+    assert!(plain.iter().all(|object| !axis(object) || object.left_open == LeftOpen::None));
+    let printed = SynthConfig { printed: 1.0, ..small() };
+    let printed: Vec<SynthObject> = (1..=24).map(|id| library(&printed).build(id)).collect();
+    let count = |kind| printed.iter().filter(|object| object.left_open == kind).count();
+    assert!(printed.iter().all(|o| o.symmetries == ObjectSymmetries::default()));
+    assert!(count(LeftOpen::Axis) >= 10 && count(LeftOpen::Flip) >= 4, "{:?}", count(LeftOpen::Flip));
+}
+
+#[test]
+fn a_folder_without_photographs_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "no picture").unwrap();
+    let config = SynthConfig { printed: 1.0, texture_folder: folder.path().into(), ..small() };
+    let message = ObjectLibrary::new(&config).unwrap_err().to_string();
+    assert!(message.contains("no jpg or png files found"), "{message}");
+    // One that is none is named in the log and replaced.
+    std::fs::write(folder.path().join("broken.jpg"), "no picture").unwrap();
+    assert!(ObjectLibrary::new(&config).unwrap().build(1).mesh.texture.is_some());
 }
 
 #[test]

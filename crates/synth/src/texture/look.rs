@@ -6,10 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use unopose_dataset::render::Finish;
 
 use super::{
-    pattern::{Color, Pattern},
+    pattern::{Color, Pattern, object_color},
     print,
 };
-use crate::{noise, random::Draw, shapes::Symmetry};
+use crate::{noise, photographs::Photographs, random::Draw, shapes::Symmetry};
 
 /// A print on the surface.
 #[derive(Clone, Debug)]
@@ -63,6 +63,9 @@ pub(crate) struct Look {
     pub finish: Finish,
 }
 
+/// Longer side of a label all around a package, and of one on a side, pixels.
+const WRAP_PIXELS: u32 = 420;
+const FACE_PIXELS: u32 = 220;
 /// Distinct part numbers that families use.
 const PARTS: usize = 5;
 
@@ -94,6 +97,48 @@ impl Look {
             metallic: if metal { rng.between(0.6, 1.0) } else { 0.0 },
         };
         let wear = if textureless || rng.chance(0.5) { 0.0 } else { rng.between(0.1, 0.7) };
+        Self { patterns, decals, wear: (wear, rng.count(0, 1 << 30) as u32), finish }
+    }
+
+    /// A package: a label all around or one on every side, each with its own picture.
+    pub fn package(size: [f32; 3], revolved: bool, photographs: &Photographs, rng: &mut ChaCha8Rng) -> Self {
+        let patterns: Vec<Pattern> = (0..PARTS).map(|_| Pattern::plain(rng)).collect();
+        // Most sides of a package have the colours of its brand.
+        let brand = [object_color(rng), object_color(rng)];
+        let mut decals = Vec::new();
+        if revolved {
+            let half = [std::f32::consts::PI, 0.5 * size[2] * rng.between(0.6, 1.0)];
+            let center = Vector3::new(0.0, 0.0, 0.5 * size[2] * rng.between(-0.1, 0.1));
+            let (s, c) = rng.between(0.0, std::f32::consts::TAU).sin_cos();
+            let aspect = half[0] * 0.5 * size[0] / half[1];
+            let picture = print::package(aspect, WRAP_PIXELS, brand, photographs, rng);
+            let right = Vector3::new(-s, c, 0.0);
+            decals.push(Decal { picture, center, right, up: Vector3::z(), half, around: true });
+        }
+        for axis in if revolved { 2..3 } else { 0..3 } {
+            for sign in [1.0, -1.0] {
+                if revolved && rng.chance(0.4) {
+                    continue;
+                }
+                let mut out = Vector3::zeros();
+                out[axis] = sign;
+                let mut up = Vector3::zeros();
+                up[if axis == 2 { 1 } else { 2 }] = 1.0;
+                let right = up.cross(&out);
+                let extent = |d: &Vector3<f32>| (0..3).map(|k| d[k].abs() * 0.5 * size[k]).sum::<f32>();
+                let share = if revolved { rng.between(0.5, 0.9) } else { rng.between(0.92, 1.02) };
+                let half = [extent(&right) * share, extent(&up) * share];
+                let aspect = half[0] / half[1].max(1e-6);
+                let picture = print::package(aspect, FACE_PIXELS, brand, photographs, rng);
+                decals.push(Decal { picture, center: Vector3::zeros(), right, up, half, around: false });
+            }
+        }
+        let metal = rng.chance(0.15);
+        let finish = Finish {
+            roughness: rng.between(0.25, 0.9),
+            metallic: if metal { rng.between(0.3, 0.9) } else { 0.0 },
+        };
+        let wear = if rng.chance(0.7) { 0.0 } else { rng.between(0.1, 0.4) };
         Self { patterns, decals, wear: (wear, rng.count(0, 1 << 30) as u32), finish }
     }
 
