@@ -74,6 +74,36 @@ impl FrameSource for EllipsoidViews {
     }
 }
 
+/// A view of a spheroid (half axes 5, 5 and 9 cm) that stands upright 0.6 m away and is turned about its axis by `degrees`; only
+/// its print, which repeats nowhere, tells by how much.
+pub fn spheroid(degrees: f64, printed: bool) -> (RgbdFrame, Mask) {
+    let intrinsics = Intrinsics { fx: 300.0, fy: 300.0, cx: 79.5, cy: 79.5 };
+    let (width, height) = (160, 160);
+    let depth = DepthMap { width, height, data: vec![0.9; (width * height) as usize] };
+    let mut frame = RgbdFrame { rgb: image::RgbImage::new(width, height), depth, intrinsics };
+    let mut mask = Mask::empty(width, height);
+    // Its z axis upright, after a turn about it.
+    let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
+    let rotation = *(upright * turn).to_rotation_matrix().matrix();
+    let pose = Pose::new(rotation, Vector3::new(0.0, 0.0, 0.6));
+    for row in 0..height {
+        for col in 0..width {
+            let ray = intrinsics.back_project(col.into(), row.into(), 1.0).coords;
+            let Some((depth, point)) = hit(&ray, &pose, &[0.05, 0.05, 0.09]) else { continue };
+            let index = (row * width + col) as usize;
+            mask.data[index] = true;
+            frame.depth.data[index] = depth as f32;
+            let angle = point.y.atan2(point.x);
+            let print = |phase: f64, times: f64| 0.5 + 0.4 * (times * angle + phase + 40.0 * point.z).sin();
+            let color = [print(0.0, 3.0), print(1.0, 5.0), print(2.0, 2.0)];
+            let color = if printed { color } else { [0.8; 3] };
+            frame.rgb.put_pixel(col, row, image::Rgb(color.map(|v| (255.0 * v) as u8)));
+        }
+    }
+    (frame, mask)
+}
+
 fn view(rng: &mut ChaCha8Rng) -> AnnotatedFrame {
     let intrinsics = Intrinsics { fx: 300.0, fy: 300.0, cx: 159.5, cy: 119.5 };
     let (width, height) = (320, 240);

@@ -2,6 +2,7 @@
 
 mod backbone;
 mod dino;
+mod dinov2;
 mod official;
 mod sam;
 mod sam_full;

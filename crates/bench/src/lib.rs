@@ -29,6 +29,7 @@ mod sequence;
 mod suite;
 mod unoseg_masks;
 pub mod verify;
+mod view_pairs;
 
 pub use ablation::INGREDIENTS;
 pub use detection_source::DetectionSource;
@@ -39,6 +40,7 @@ pub use network::{Network, Switches};
 pub use sequence::{SequenceRun, run_sequence, sequence_table};
 pub use suite::{Method, Suite};
 pub use unoseg_masks::UnoSegMasks;
+pub use view_pairs::{PairResult, PairsRun, Verdict, pairs_table, run_pairs};
 
 #[cfg(test)]
 mod tests;

@@ -9,7 +9,7 @@ use unopose_core::{
 };
 use unopose_infer::{InferError, PoseEstimator};
 use unopose_nn::device::DeviceChoice;
-use unopose_pairs::registration::{PairEstimator, PairPose, RegistrationError};
+use unopose_pairs::registration::{PairEstimator, PairPose, Refinement, RegistrationError};
 
 /// The paper's ingredients that a network has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -85,5 +85,18 @@ impl PairEstimator for Network {
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
         PairEstimator::estimate(&self.estimator, query, reference)
+    }
+
+    fn estimate_refined(
+        &self,
+        query: MaskedView,
+        reference: MaskedView,
+        refinement: Refinement,
+    ) -> Option<Result<PairPose, RegistrationError>> {
+        self.estimator.estimate_refined(query, reference, refinement)
+    }
+
+    fn refines_itself(&self) -> bool {
+        self.estimator.refines_itself()
     }
 }

@@ -32,7 +32,7 @@ pub(crate) struct MethodRun {
 }
 
 /// Estimates all targets pair by pair, so that the times are those of single pairs. `cache` is the folder of the kept
-/// results: a pair that is in it is not estimated again, and a new refinement starts from the kept unrefined pose. A target
+/// results: a pair that is in it is not estimated again, and a new refinement after the method starts from the kept unrefined pose. A target
 /// with several references takes, for each detection, the pose with the best score.
 pub(crate) fn run_method(
     list: &TargetList,
@@ -53,11 +53,12 @@ pub(crate) fn run_method(
         Records::open(cache, &method.name(), &identity)
     };
     let unrefined = Refined { refinement: Refinement::None, ..*method };
+    let refined_after = method.refinement != Refinement::None && !method.estimator.refines_itself();
     let mut run = Run {
         list,
         method,
         records: records(method)?,
-        unrefined: (method.refinement != Refinement::None).then(|| records(&unrefined)).transpose()?,
+        unrefined: refined_after.then(|| records(&unrefined)).transpose()?,
         frames: HashMap::new(),
         computed: 0,
         relative: Vec::new(),
@@ -81,7 +82,7 @@ struct Run<'a> {
     list: &'a TargetList,
     method: &'a Refined<'a>,
     records: Records,
-    /// Those of the method without its refinement.
+    /// Those of the method without the refinement after it.
     unrefined: Option<Records>,
     frames: HashMap<(bool, u32, u32), Arc<RgbdFrame>>,
     computed: usize,
@@ -184,6 +185,9 @@ impl Run<'_> {
         query: MaskedView,
         reference: MaskedView,
     ) -> Result<PairOutcome, FormatError> {
+        if self.method.estimator.refines_itself() {
+            return Ok(outcome_of(self.method.estimate(query, reference)));
+        }
         let known = self.unrefined.as_ref().and_then(|records| records.get(key));
         let outcome = match known {
             Some(known) => known.clone(),
@@ -197,7 +201,7 @@ impl Run<'_> {
         };
         Ok(match outcome {
             PairOutcome::Posed { t_query_reference, score, seconds } => {
-                let pair = PairPose { t_query_reference, score, seconds };
+                let pair = PairPose { t_query_reference, score, seconds, confidence: None };
                 outcome_of(Ok(self.method.refine(pair, query, reference)))
             }
             rejected => rejected,
@@ -246,7 +250,9 @@ impl Run<'_> {
 
 fn outcome_of(pair: Result<PairPose, RegistrationError>) -> PairOutcome {
     match pair {
-        Ok(PairPose { t_query_reference, score, seconds }) if t_query_reference.rotation_defect() < 1e-3 => {
+        Ok(PairPose { t_query_reference, score, seconds, .. })
+            if t_query_reference.rotation_defect() < 1e-3 =>
+        {
             PairOutcome::Posed { t_query_reference, score, seconds }
         }
         Ok(_) => PairOutcome::Rejected { reason: "the rotation is none".into() },

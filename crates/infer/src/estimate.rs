@@ -5,7 +5,7 @@ use unopose_core::{
     frame::{Mask, RgbdFrame},
     geometry::Pose,
 };
-use unopose_pairs::data::CloudInput;
+use unopose_pairs::{data::CloudInput, registration::Axis};
 
 use super::{Confidence, Evidence, PairTrace, Reference, StageTimes};
 
@@ -33,6 +33,10 @@ pub struct Estimate {
     pub confidence: Option<Confidence>,
     /// What the confidence is made of.
     pub evidence: Evidence,
+    /// Poses that the evidence hardly tells from this one, the best first; empty for an unambiguous answer.
+    pub alternatives: Vec<Alternative>,
+    /// Axis in the reference camera's frame about which the evidence leaves the pose free, as of a plain can.
+    pub free_axis: Option<Axis>,
     /// Predicted share of the query's points that the reference sees, and of the reference's that the query sees.
     pub overlap: [f64; 2],
     /// Share of the query's points matched to a reference point.
@@ -45,6 +49,15 @@ pub struct Estimate {
     pub timings: Timings,
 }
 
+/// Another pose that may be the right one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alternative {
+    /// Reference camera to query camera, metres.
+    pub t_query_reference: Pose,
+    /// What speaks for it, in shares of what speaks for the answer, 0..=1.
+    pub score: f64,
+}
+
 /// An estimate with the way to it.
 pub struct Trace {
     /// As without a trace.
@@ -53,6 +66,8 @@ pub struct Trace {
     pub stages: PairTrace,
     /// The query as the network sees it.
     pub cloud: CloudInput,
+    /// The poses among which the answer was chosen: reference to query camera, metres.
+    pub candidates: Vec<Pose>,
 }
 
 /// Seconds per instance; what a batch shares is divided evenly.

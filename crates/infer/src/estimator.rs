@@ -18,13 +18,10 @@ use unopose_nn::{
     device::DeviceChoice,
     model::{EncodedCloud, UnoPose},
 };
-use unopose_pairs::{
-    data::{CloudInput, normalised_pose, prepare_query, prepare_reference},
-    registration::icp::refine_with,
-};
+use unopose_pairs::data::{CloudInput, normalised_pose, prepare_query, prepare_reference};
 
 use super::{
-    Calibration, Candidate, CloudPair, Estimate, Evidence, InferError, Judge, PairTrace, Query, Reference,
+    Calibration, Candidate, Choice, CloudPair, Estimate, Evidence, InferError, PairTrace, Query, Reference,
     Refinement, StageTimes, Timings, Trace, Uniforms, encode_references,
     streams::{self, stream},
     trace_encoded,
@@ -164,6 +161,15 @@ impl PoseEstimator {
     /// [`Self::estimate`] of instances of any views, each with its own reference. A pose does not depend on the other
     /// instances of the list.
     pub fn estimate_batch(&self, queries: &[Query<'_>]) -> Vec<Result<Estimate, InferError>> {
+        self.estimate_refined(queries, self.refinement)
+    }
+
+    /// [`Self::estimate_batch`] with another refinement.
+    pub(super) fn estimate_refined(
+        &self,
+        queries: &[Query<'_>],
+        refinement: Refinement,
+    ) -> Vec<Result<Estimate, InferError>> {
         let prepared: Vec<Result<(CloudInput, f64), InferError>> =
             queries.par_iter().map(|query| self.prepare(query)).collect();
         let usable: Vec<(&Query<'_>, &CloudInput, f64)> = queries
@@ -172,7 +178,7 @@ impl PoseEstimator {
             .filter_map(|(query, prepared)| prepared.as_ref().ok().map(|(cloud, t)| (query, cloud, *t)))
             .collect();
         let estimates: Vec<Result<Estimate, InferError>> =
-            usable.chunks(MAX_BATCH).flat_map(|chunk| self.estimate_chunk(chunk)).collect();
+            usable.chunks(MAX_BATCH).flat_map(|chunk| self.estimate_chunk(chunk, refinement)).collect();
         let mut estimates = estimates.into_iter();
         let mut next = |_| estimates.next().unwrap_or(Err(InferError::Incomplete));
         prepared.into_iter().map(|prepared| prepared.and_then(&mut next)).collect()
@@ -183,7 +189,12 @@ impl PoseEstimator {
         let (cloud, prepare) = self.prepare(query)?;
         let (mut traces, times) = self.run(&[(query, &cloud, prepare)], None)?;
         let stages = traces.pop().ok_or(InferError::Incomplete)?;
-        Ok(Trace { estimate: self.finish(query, (&cloud, prepare), &stages, times)?, stages, cloud })
+        let start = Instant::now();
+        let choice = self.choose(query, &cloud, &stages, self.refinement);
+        let times = (times, start.elapsed().as_secs_f64());
+        let estimate = self.finish(query, prepare, &choice, times)?;
+        let candidates = choice.candidates.iter().map(|candidate| candidate.pose).collect();
+        Ok(Trace { estimate, stages, cloud, candidates })
     }
 
     /// The pose of the fine stage when it starts from `t_query_reference` (metres) instead of the coarse pose; `None`
@@ -205,7 +216,11 @@ impl PoseEstimator {
         Ok((cloud.map_err(InferError::Query)?, start.elapsed().as_secs_f64()))
     }
 
-    fn estimate_chunk(&self, chunk: &[(&Query<'_>, &CloudInput, f64)]) -> Vec<Result<Estimate, InferError>> {
+    fn estimate_chunk(
+        &self,
+        chunk: &[(&Query<'_>, &CloudInput, f64)],
+        refinement: Refinement,
+    ) -> Vec<Result<Estimate, InferError>> {
         match self.run(chunk, None) {
             Ok((traces, times)) => {
                 let share = times.divided(chunk.len());
@@ -213,7 +228,9 @@ impl PoseEstimator {
                     .par_iter()
                     .zip(traces)
                     .map(|((query, cloud, prepare), stages)| {
-                        self.finish(query, (cloud, *prepare), &stages, share)
+                        let start = Instant::now();
+                        let choice = self.choose(query, cloud, &stages, refinement);
+                        self.finish(query, *prepare, &choice, (share, start.elapsed().as_secs_f64()))
                     })
                     .collect()
             }
@@ -239,46 +256,24 @@ impl PoseEstimator {
         trace_encoded(&self.model, &self.config, &pairs, &references, uniforms, given, &self.device)
     }
 
-    /// Refines the pose from every start, and lets the one win that both views speak for.
     fn finish(
         &self,
         query: &Query<'_>,
-        (cloud, prepare): (&CloudInput, f64),
-        stages: &PairTrace,
-        network: StageTimes,
+        prepare: f64,
+        choice: &Choice,
+        (network, refine): (StageTimes, f64),
     ) -> Result<Estimate, InferError> {
-        let start = Instant::now();
-        let clouds = query.reference.pair(cloud);
-        let surface = self.refinement.settings().zip(query.reference.surface());
-        let points = surface.map(|_| query.frame.masked_points(query.mask)).unwrap_or_default();
-        let refined = |pose: &Pose| match &surface {
-            Some((settings, surface)) => refine_with(&points, surface, pose, settings).t_query_reference,
-            None => *pose,
-        };
-        let judge = Judge::new(&clouds, &self.config.hypotheses);
-        let candidates: Vec<Candidate> = (0..stages.fine.len().max(1))
-            .map(|result| {
-                let pair = stages.estimate_of(result, &clouds);
-                let pose = refined(&pair.t_query_reference);
-                Candidate { judged: judge.judge(&pose), pair, pose }
-            })
-            .collect();
-        let best = (0..candidates.len())
-            .reduce(|a, b| if candidates[b].judged.score > candidates[a].judged.score { b } else { a })
-            .unwrap_or(0);
-        let runner_up = candidates[best].runner_up(&candidates);
-        let Candidate { pair, pose, judged } = &candidates[best];
+        let Candidate { pair, pose, judged, .. } = choice.best();
         let numbers = [&pair.score, &pair.matched].into_iter().chain(&pair.overlap);
         if !pose.rotation.iter().chain(&pose.translation).chain(numbers).all(|x| x.is_finite()) {
             return Err(InferError::NotFinite);
         }
         let pose = *pose;
-        let refine = start.elapsed().as_secs_f64();
         let evidence = Evidence {
             points: query.frame.measured_pixels(query.mask).count(),
             color: judged.agreement.color,
             in_front: judged.agreement.in_front,
-            runner_up,
+            runner_up: choice.runner_up(),
             ..pair.evidence
         };
         let judge = |calibration: &Calibration| {
@@ -290,6 +285,8 @@ impl PoseEstimator {
             score: pair.score,
             confidence: self.calibration.as_ref().map(judge),
             evidence,
+            alternatives: choice.alternatives(),
+            free_axis: choice.free_axis,
             overlap: pair.overlap,
             matched: pair.matched,
             t_query_reference_coarse: pair.t_query_reference_coarse,

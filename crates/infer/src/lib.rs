@@ -6,6 +6,7 @@
 //! with it.
 
 mod assignments;
+mod choice;
 mod color_features;
 mod confidence;
 mod error;
@@ -28,9 +29,10 @@ mod uniforms;
 mod view_files;
 
 pub use assignments::{Matched, host_assignments};
+use choice::Choice;
 pub use confidence::{Calibration, Confidence, Evidence, Feature, PoseCriterion, Reason, ReasonKind, Term};
 pub use error::InferError;
-pub use estimate::{Estimate, Query, Timings, Trace};
+pub use estimate::{Alternative, Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;
 pub use forward::{estimate_encoded, estimate_pairs, trace_encoded};
 use judge::{Candidate, Judge};

@@ -5,13 +5,13 @@ use std::time::Instant;
 use unopose_core::frame::MaskedView;
 use unopose_pairs::registration::{PairEstimator, PairPose, RegistrationError};
 
-use super::{InferError, PoseEstimator};
+use super::{InferError, PoseEstimator, Query, Refinement};
 
 /// Without a cached reference: both views are prepared and encoded for every pair.
 impl PairEstimator for PoseEstimator {
     fn name(&self) -> String {
         match self.refinement() {
-            super::Refinement::None => "unopose".into(),
+            Refinement::None => "unopose".into(),
             refinement => format!("unopose-{refinement}"),
         }
     }
@@ -23,13 +23,42 @@ impl PairEstimator for PoseEstimator {
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
+        self.pair_pose(query, reference, self.refinement())
+    }
+
+    fn estimate_refined(
+        &self,
+        query: MaskedView,
+        reference: MaskedView,
+        refinement: Refinement,
+    ) -> Option<Result<PairPose, RegistrationError>> {
+        Some(self.pair_pose(query, reference, refinement))
+    }
+
+    fn refines_itself(&self) -> bool {
+        true
+    }
+}
+
+impl PoseEstimator {
+    fn pair_pose(
+        &self,
+        query: MaskedView,
+        reference: MaskedView,
+        refinement: Refinement,
+    ) -> Result<PairPose, RegistrationError> {
         let start = Instant::now();
         let failed = |error: InferError| RegistrationError::Estimator(Box::new(error));
         let reference = self.reference(reference.frame, reference.mask).map_err(failed)?;
-        let mask = std::slice::from_ref(query.mask);
-        let estimate = PoseEstimator::estimate(self, &reference, query.frame, mask).pop();
+        let query = Query { reference: &reference, frame: query.frame, mask: query.mask };
+        let estimate = self.estimate_refined(&[query], refinement).pop();
         let estimate = estimate.unwrap_or(Err(InferError::Incomplete)).map_err(failed)?;
         let seconds = start.elapsed().as_secs_f64();
-        Ok(PairPose { t_query_reference: estimate.t_query_reference, score: estimate.score, seconds })
+        Ok(PairPose {
+            t_query_reference: estimate.t_query_reference,
+            score: estimate.score,
+            seconds,
+            confidence: estimate.confidence.map(|c| (c.probability, c.confident)),
+        })
     }
 }

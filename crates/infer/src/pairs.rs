@@ -8,7 +8,7 @@ use unopose_pairs::data::{CloudInput, PreparedReference};
 use super::Evidence;
 
 /// Pose of one pair with what explains it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct PairEstimate {
     /// Reference camera to query camera, metres.
     pub t_query_reference: Pose,

@@ -23,6 +23,12 @@ impl Reference {
         &self.points
     }
 
+    /// sRGB of [`Self::points`]; `None` for a reference that was kept without its colours.
+    pub fn colors(&self) -> Option<Vec<[u8; 3]>> {
+        let view = self.cloud.view.as_ref()?;
+        Some(self.points.iter().map(|p| view.rgb_at(p)).collect())
+    }
+
     /// The view as the network sees it.
     pub fn cloud(&self) -> &CloudInput {
         &self.cloud
@@ -35,7 +41,14 @@ impl Reference {
 
     /// The surface for refinement, made on first use; `None` when the points make none.
     pub fn surface(&self) -> Option<&IcpReference> {
-        self.surface.get_or_init(|| IcpReference::new(&self.points)).as_ref()
+        let surface = || {
+            let surface = IcpReference::new(&self.points)?;
+            Some(match &self.cloud.view {
+                Some(view) => surface.with_colors(view),
+                None => surface,
+            })
+        };
+        self.surface.get_or_init(surface).as_ref()
     }
 
     /// Largest distance of the sampled points to their mean, metres.

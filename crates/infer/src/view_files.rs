@@ -49,6 +49,28 @@ pub struct View {
 }
 
 impl ViewFiles {
+    /// Those of a folder with one view: `rgb.EXT`, `depth.EXT`, `camera.json` and the masks of the given names, `mask_NAME.EXT`,
+    /// each with one of the extensions that are read.
+    pub fn in_folder(folder: &Path, masks: &[&str]) -> Result<Self, FormatError> {
+        let one = |name: &str, extensions: &[&str]| {
+            let files = files_of(folder, extensions)?;
+            let found = files.into_iter().find(|(stem, _)| stem == name).map(|(_, path)| path);
+            found.ok_or_else(|| {
+                FormatError::missing(folder.display(), format!("{name}.{}", extensions.join("|")), "")
+            })
+        };
+        Ok(Self {
+            rgb: one("rgb", &COLOR_EXTENSIONS)?,
+            depth: one("depth", &DEPTH_EXTENSIONS)?,
+            masks: masks
+                .iter()
+                .map(|name| one(&format!("mask_{name}"), &MASK_EXTENSIONS))
+                .collect::<Result<_, _>>()?,
+            camera: folder.join("camera.json"),
+            depth_scale: None,
+        })
+    }
+
     /// Reads everything as a query; depth and masks must be as large as the colour image, masks not empty.
     pub fn read(&self) -> Result<View, FormatError> {
         self.read_as(ViewRole::Query, None)

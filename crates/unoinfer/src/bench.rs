@@ -10,7 +10,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use unopose_bench::{
     DetectionSource, INGREDIENTS, ListRequest, Method, Network, PreparedList, Suite, UnoSegMasks,
-    run_sequence, sequence_table,
+    pairs_table, run_pairs, run_sequence, sequence_table,
 };
 use unopose_cli::{DeviceOption, print_text, say, tell};
 use unopose_dataset::{
@@ -49,6 +49,8 @@ enum ProtocolName {
     Rendered,
     /// A phone sequence (WildRGB-D layout) as --dataset: one frame is the reference of the others
     Sequence,
+    /// Single pairs of views with known relative poses, without models (--list)
+    Pairs,
 }
 
 #[derive(Args)]
@@ -57,8 +59,12 @@ pub struct BenchArguments {
     #[arg(value_enum, default_value = "rot50")]
     protocol: ProtocolName,
     /// BOP dataset folder, or the folder of a sequence
-    #[arg(long, value_name = "DIR")]
-    dataset: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "list")]
+    dataset: Option<PathBuf>,
+    /// Pairs of the protocol pairs: JSON with object, reference, query (folders beside it with rgb, depth, camera.json and
+    /// mask_OBJECT) and T_query_reference (R row by row, t in metres); with `+` in symmetry only the shape counts
+    #[arg(long, value_name = "JSON", conflicts_with = "dataset")]
+    list: Option<PathBuf>,
     /// Targets with their reference views: scene_id, im_id, obj_id, ref_scene_id, ref_im_id [default: the dataset's
     /// test_ref_targets_PROTOCOL.json, else a list that is built and written to --out]
     #[arg(long, value_name = "JSON")]
@@ -117,8 +123,21 @@ pub struct BenchArguments {
     seed: u64,
 }
 
+impl BenchArguments {
+    fn dataset(&self) -> anyhow::Result<&Path> {
+        self.dataset.as_deref().context("--dataset is missing")
+    }
+}
+
 pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
     let methods = methods(arguments)?;
+    let pairs = matches!(arguments.protocol, ProtocolName::Pairs);
+    match (&arguments.list, pairs) {
+        (Some(list), true) => return view_pairs(arguments, list, &methods),
+        (None, true) => bail!("the protocol pairs needs its pairs as --list"),
+        (Some(list), false) => bail!("--list {}: for the protocol pairs", list.display()),
+        (None, false) => {}
+    }
     if matches!(arguments.protocol, ProtocolName::Sequence) {
         return sequence(arguments, &methods);
     }
@@ -139,7 +158,7 @@ pub fn run(arguments: &BenchArguments) -> anyhow::Result<()> {
             _ => arguments.out.clone(),
         };
         let request = ListRequest {
-            splits: arguments.splits.of(&arguments.dataset),
+            splits: arguments.splits.of(arguments.dataset()?),
             targets: arguments.targets.clone(),
             detections,
             limit: arguments.limit,
@@ -210,7 +229,7 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
     if names.len() < sources.len() {
         bail!("--proposals has several sources of one name among {names:?}, expected different ones");
     }
-    let mut splits = arguments.splits.of(&arguments.dataset);
+    let mut splits = arguments.splits.of(arguments.dataset()?);
     if splits.reference_split.is_none() {
         splits.reference_split = splits.open()?.reference_split_name().map(str::to_owned);
     }
@@ -221,17 +240,18 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
     }
     .with_seed(arguments.seed);
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+    let dataset = arguments.dataset()?;
     let found = |source: &dyn ProposalGenerator| {
         let out = arguments.out.join("segmentation").join(source.name());
         let (detections, scores) = segment_dataset(&files, source, &matcher, &out)?;
-        let scores = scores.with_context(|| format!("{}: {NOT_SCORED}", arguments.dataset.display()))?;
+        let scores = scores.with_context(|| format!("{}: {NOT_SCORED}", dataset.display()))?;
         Ok(UnoSegMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
     };
     sources.iter().map(|source| found(source.as_ref())).collect()
 }
 
 fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
-    let sequence = PhoneSequence::open(&arguments.dataset)?;
+    let sequence = PhoneSequence::open(arguments.dataset()?)?;
     let first = sequence.frame_ids().next().unwrap_or_default();
     let reference = arguments.reference_frame.unwrap_or(first);
     let step = arguments.frame_step;
@@ -240,9 +260,19 @@ fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()
     Ok(())
 }
 
+fn view_pairs(arguments: &BenchArguments, list: &Path, methods: &[Method]) -> anyhow::Result<()> {
+    let shown: Mutex<Option<(String, ProgressDisplay)>> = Mutex::new(None);
+    let progress = |label: &str, done, total| show(&shown, label, done, total);
+    let runs = run_pairs(list, methods, &arguments.refine, &arguments.out, &progress)?;
+    print_text(&pairs_table(&runs));
+    Ok(())
+}
+
 fn protocols(arguments: &BenchArguments) -> Vec<Protocol> {
     match arguments.protocol {
-        ProtocolName::Rot50 | ProtocolName::Rendered | ProtocolName::Sequence => vec![Protocol::Rot50],
+        ProtocolName::Rot50 | ProtocolName::Rendered | ProtocolName::Sequence | ProtocolName::Pairs => {
+            vec![Protocol::Rot50]
+        }
         ProtocolName::CrossScene => vec![Protocol::CrossScene],
         ProtocolName::RotationBins => vec![Protocol::Rot90],
         ProtocolName::OnePerObject => vec![Protocol::OnePerObject],

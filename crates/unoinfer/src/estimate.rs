@@ -88,7 +88,7 @@ pub struct EstimateArguments {
     reference_camera: Option<PathBuf>,
     #[command(flatten)]
     cameras: CameraOptions,
-    /// Folder for pose.json and overlay.png
+    /// Folder for pose.json and overlay.png: the reference's points and axes in the query image, and beside them its own colours
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
@@ -283,7 +283,17 @@ fn record(
 
 fn fields(estimate: &Estimate) -> serde_json::Value {
     let pose = |pose: &Pose| json!({ "R": pose.rotation_row_major(), "t": pose.translation.as_slice() });
+    let alternatives: Vec<serde_json::Value> = estimate
+        .alternatives
+        .iter()
+        .map(|other| json!({ "T_query_reference": pose(&other.t_query_reference), "score": other.score }))
+        .collect();
+    let free_axis = estimate
+        .free_axis
+        .map(|axis| json!({ "direction": axis.direction.as_slice(), "point": axis.point.as_slice() }));
     json!({
+        "alternatives": alternatives,
+        "free_axis": free_axis,
         "T_query_reference": pose(&estimate.t_query_reference),
         "score": estimate.score,
         "confidence": estimate.confidence.as_ref().map(|c| c.probability),
@@ -298,16 +308,24 @@ fn fields(estimate: &Estimate) -> serde_json::Value {
     })
 }
 
+/// The query with the reference's points and axes, and beside it with the reference's own colours.
 fn drawn(reference: &Reference, view: &View, results: &[Result<Estimate, InferError>]) -> image::RgbImage {
-    let mut image = view.frame.rgb.clone();
+    let (rgb, camera) = (&view.frame.rgb, &view.frame.intrinsics);
+    let mut image = rgb.clone();
     // Every point would hide the image.
     let step = reference.points().len().div_ceil(4000).max(1);
     let points: Vec<[f32; 3]> = reference.points().iter().copied().step_by(step).collect();
     for (estimate, color) in results.iter().flatten().zip(COLORS.into_iter().cycle()) {
         let pose = &estimate.t_query_reference;
-        image = overlay::pose_overlay(&image, &view.frame.intrinsics, pose, &points, color);
+        image = overlay::pose_overlay(&image, camera, pose, &points, color);
     }
-    image
+    let Some(colors) = reference.colors() else { return image };
+    let mut painted = rgb.clone();
+    for estimate in results.iter().flatten() {
+        let pose = &estimate.t_query_reference;
+        painted = overlay::painted_overlay(&painted, camera, pose, reference.points(), &colors);
+    }
+    overlay::contact_sheet(&[image, painted], 2)
 }
 
 fn line(files: &ViewFiles, index: usize, estimate: &Estimate) -> String {

@@ -20,9 +20,11 @@ pub struct PairRecord {
     /// Mean step of brightness between neighbouring pixels of the reference, grey levels.
     pub(crate) texture: f64,
     pub(crate) evidence: Evidence,
+    /// Whether one of the poses among which it was chosen is right.
+    pub(crate) has_right_candidate: bool,
     /// Calibrated, where the network has a calibration.
     pub(crate) probability: Option<f64>,
-    /// Whether the network's pose is right, as [`PoseCriterion`](unopose_infer::PoseCriterion) defines it.
+    /// Whether the pose is right, as [`PoseCriterion`](unopose_infer::PoseCriterion) defines it.
     pub right: bool,
     /// The target's part in the average recall with the network's pose, 0..=1.
     pub(crate) credit: f64,

@@ -108,7 +108,12 @@ pub fn analyse(
             errors.average_recall(object.diameter, frame.width())
         };
         let (network_credit, refined) = (credit(&network), trace.estimate.t_query_reference);
+        let is_right = |pose: &Pose| {
+            let error = truth.error(pose);
+            error.rotation_deg < right.rotation_deg && error.translation < right.translation
+        };
         records.push(PairRecord {
+            has_right_candidate: trace.candidates.iter().any(is_right),
             scene_id: target.scene_id,
             im_id: target.im_id,
             obj_id: target.obj_id,
@@ -120,8 +125,7 @@ pub fn analyse(
             texture,
             evidence: trace.estimate.evidence,
             probability: trace.estimate.confidence.as_ref().map(|c| c.probability),
-            right: stages.fine.rotation_deg < right.rotation_deg
-                && stages.fine.translation < right.translation,
+            right: is_right(&refined),
             credit: network_credit,
             refined_credit: if trace.estimate.refined { credit(&refined) } else { network_credit },
             stages,

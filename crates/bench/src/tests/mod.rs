@@ -125,7 +125,7 @@ impl PairEstimator for Shift {
     fn estimate(&self, _: MaskedView, _: MaskedView) -> Result<PairPose, RegistrationError> {
         self.asked.fetch_add(1, Ordering::Relaxed);
         let t_query_reference = Pose::new(Matrix3::identity(), Vector3::new(0.1, 0.0, 0.0));
-        Ok(PairPose { t_query_reference, score: 0.5, seconds: 0.25 })
+        Ok(PairPose { t_query_reference, score: 0.5, seconds: 0.25, confidence: None })
     }
 }
 

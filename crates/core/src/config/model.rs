@@ -134,6 +134,9 @@ pub struct HypothesisConfig {
     pub free_space_weight: f32,
     /// Fine stages from different hypotheses, of which the best scored result is taken.
     pub starts: usize,
+    /// Turns of the pose that the shape hardly tells apart (about an axis of revolution, right angles of a box) which are
+    /// refined and judged beside it. Needs the judgement by colours or free space.
+    pub turns: usize,
 }
 
 impl HypothesisConfig {
@@ -217,6 +220,7 @@ impl Default for HypothesisConfig {
             color_weight: 0.0,
             free_space_weight: 0.0,
             starts: 1,
+            turns: 0,
         }
     }
 }

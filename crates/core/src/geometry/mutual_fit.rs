@@ -26,18 +26,30 @@ impl<'a> MutualFit<'a> {
     /// Mean weight of the query's points by their distance to the moved reference, times that of the reference's points
     /// by their distance to the query: 1 when all lie on each other.
     pub fn score(&self, t_query_reference: &Pose) -> f64 {
-        fit(self.query, &t_query_reference.inverse(), &self.reference_columns)
-            * fit(self.reference, t_query_reference, &self.query_columns)
+        let [[query], [reference]] = self.parts(t_query_reference, [SPREAD]);
+        query * reference
+    }
+
+    /// Mean weights of the query's points and of the reference's for each of `spreads`, the distance at which a point counts
+    /// exp(-1/2), radii.
+    pub fn parts<const N: usize>(&self, t_query_reference: &Pose, spreads: [f32; N]) -> [[f64; N]; 2] {
+        [
+            fit(self.query, &t_query_reference.inverse(), &self.reference_columns, spreads),
+            fit(self.reference, t_query_reference, &self.query_columns, spreads),
+        ]
     }
 }
 
-fn fit(points: &[[f32; 3]], pose: &Pose, other: &Columns) -> f64 {
+fn fit<const N: usize>(points: &[[f32; 3]], pose: &Pose, other: &Columns, spreads: [f32; N]) -> [f64; N] {
     let counted = &points[..points.len().min(COUNTED)];
-    let weight = |p: &[f32; 3]| {
+    let mut sums = [0.0; N];
+    for p in counted {
         let squared = other.nearest_squared(pose.transform_f32(p));
-        f64::from((-squared / (2.0 * SPREAD * SPREAD)).exp())
-    };
-    counted.iter().map(weight).sum::<f64>() / counted.len().max(1) as f64
+        for (sum, spread) in sums.iter_mut().zip(spreads) {
+            *sum += f64::from((-squared / (2.0 * spread * spread)).exp());
+        }
+    }
+    sums.map(|sum| sum / counted.len().max(1) as f64)
 }
 
 #[cfg(test)]

@@ -80,6 +80,36 @@ pub fn pose_overlay(
     image
 }
 
+/// The query image in which the reference's surface covers what it hides: every point in its own colour, the nearest on top.
+/// Beside the image it shows whether the prints agree.
+pub fn painted_overlay(
+    rgb: &RgbImage,
+    camera: &Intrinsics,
+    t_query_reference: &Pose,
+    reference_points: &[[f32; 3]],
+    colors: &[[u8; 3]],
+) -> RgbImage {
+    let mut image = rgb.clone();
+    let mut nearest = vec![f64::INFINITY; (rgb.width() * rgb.height()) as usize];
+    for (point, &color) in reference_points.iter().zip(colors) {
+        let [x, y, z] = t_query_reference.transform_f32(point).map(f64::from);
+        let Some(pixel) = camera.project(&Point3::new(x, y, z)) else { continue };
+        // Two pixels wide: a reference seen from farther away has gaps.
+        for offset in [Vector2::zeros(), Vector2::x(), Vector2::y(), Vector2::new(1.0, 1.0)] {
+            let at = pixel + offset;
+            let index =
+                at.y.round().max(0.0) as usize * rgb.width() as usize + at.x.round().max(0.0) as usize;
+            if let Some(below) = pixel_at(&mut image, at)
+                && z < nearest[index]
+            {
+                nearest[index] = z;
+                *below = Rgb(color);
+            }
+        }
+    }
+    image
+}
+
 /// The image with masks in colours, the first on top; borders are stronger than insides.
 pub fn mask_overlay(rgb: &RgbImage, masks: &[&Mask]) -> RgbImage {
     let mut image = rgb.clone();
@@ -205,6 +235,25 @@ mod tests {
     use nalgebra::Matrix3;
 
     const CAMERA: Intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 32.0, cy: 24.0 };
+
+    #[test]
+    fn the_nearest_point_covers_with_its_colour() {
+        let pose = Pose::new(Matrix3::identity(), Vector3::zeros());
+        // Two on one ray, one behind the camera, one outside.
+        let points = [[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.0, 0.0, -1.0], [9.0, 0.0, 0.5]];
+        let colors = [[1, 2, 3], [200, 100, 50], [9, 9, 9], [9, 9, 9]];
+        for order in [[0, 1, 2, 3], [1, 0, 3, 2]] {
+            let (points, colors) = (order.map(|i| points[i]), order.map(|i| colors[i]));
+            let image = painted_overlay(&RgbImage::new(64, 48), &CAMERA, &pose, &points, &colors);
+            let drawn: Vec<_> = image.enumerate_pixels().filter(|(_, _, p)| p.0 != [0, 0, 0]).collect();
+            assert_eq!(drawn.len(), 4);
+            assert!(
+                drawn
+                    .iter()
+                    .all(|(x, y, p)| (32..34).contains(x) && (24..26).contains(y) && p.0 == [200, 100, 50])
+            );
+        }
+    }
 
     #[test]
     fn a_point_lands_on_its_projection() {

@@ -26,6 +26,21 @@ pub struct Agreement {
     /// Correlation of the colours of the surface that both see, times [`Self::on_surface`], in [-1, 1]: near 0 without
     /// colours that could agree. A gain of all channels and an offset of each have no influence.
     pub color: f64,
+    /// The correlation alone.
+    pub correlation: f64,
+    /// Shares of the query's samples, then of the reference's.
+    pub sides: [SideAgreement; 2],
+}
+
+/// Where the samples of one view lie under a pose, as shares of them; the rest is seen by nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SideAgreement {
+    /// On the other view's object.
+    pub on_surface: f64,
+    /// In space that the other camera sees through.
+    pub in_front: f64,
+    /// Behind a surface that the other camera sees.
+    pub hidden: f64,
 }
 
 /// Sums for the correlation of one channel.
@@ -51,19 +66,39 @@ impl Agreement {
         let mut tally = Tally::default();
         tally.add(query, reference, &t_query_reference.inverse(), tolerance, detail, false);
         tally.add(reference, query, t_query_reference, tolerance, detail, true);
-        let total = (query.samples.len() + reference.samples.len()).max(1) as f64;
+        let counts = [query.samples.len(), reference.samples.len()];
+        let total = (counts[0] + counts[1]).max(1) as f64;
+        let share = |of: fn(&Side) -> u32| f64::from(tally.sides.iter().map(of).sum::<u32>()) / total;
+        let (on_surface, correlation) = (share(|side| side.on_surface), tally.correlation());
         Self {
-            on_surface: f64::from(tally.on_surface) / total,
-            in_front: f64::from(tally.in_front) / total,
-            color: tally.color(total),
+            on_surface,
+            in_front: share(|side| side.in_front),
+            // Without the factor a small common surface would win, whose colours correlate by chance.
+            color: correlation * on_surface,
+            correlation,
+            sides: [0, 1].map(|i| {
+                let share = |count: u32| f64::from(count) / counts[i].max(1) as f64;
+                let Side { on_surface, in_front, hidden } = tally.sides[i];
+                SideAgreement {
+                    on_surface: share(on_surface),
+                    in_front: share(in_front),
+                    hidden: share(hidden),
+                }
+            }),
         }
     }
 }
 
-#[derive(Default)]
-struct Tally {
+#[derive(Clone, Copy, Default)]
+struct Side {
     on_surface: u32,
     in_front: u32,
+    hidden: u32,
+}
+
+#[derive(Default)]
+struct Tally {
+    sides: [Side; 2],
     moments: [Moments; 3],
 }
 
@@ -87,6 +122,7 @@ impl Tally {
         let [fx, fy, cx, cy] =
             [to.camera.fx, to.camera.fy, to.camera.cx, to.camera.cy].map(|value| value as f32);
         let height = to.height() as f32;
+        let side = &mut self.sides[usize::from(swapped)];
         let rotation = t_to_from.rotation.map(|x| x as f32);
         let shift = t_to_from.translation.map(|x| x as f32);
         for sample in &from.samples {
@@ -108,9 +144,11 @@ impl Tally {
             }
             let behind = moved[2] - seen;
             if behind < -tolerance {
-                self.in_front += 1;
-            } else if behind <= tolerance && to.object[cell] {
-                self.on_surface += 1;
+                side.in_front += 1;
+            } else if behind > tolerance {
+                side.hidden += 1;
+            } else if to.object[cell] {
+                side.on_surface += 1;
                 let (a, b) = (&own[sample.cell], &theirs[cell]);
                 let (a, b) = if swapped { (b, a) } else { (a, b) };
                 for (m, (&a, &b)) in self.moments.iter_mut().zip(a.iter().zip(b)) {
@@ -125,9 +163,8 @@ impl Tally {
         }
     }
 
-    /// See [`Agreement::color`]. Without the factor a small common surface would win, whose colours correlate by chance.
-    fn color(&self, total: f64) -> f64 {
-        let n = f64::from(self.on_surface);
+    fn correlation(&self) -> f64 {
+        let n: f64 = self.sides.iter().map(|side| f64::from(side.on_surface)).sum();
         if n < 2.0 {
             return 0.0;
         }
@@ -137,6 +174,6 @@ impl Tally {
             bb += (m.bb - m.b * m.b / n).max(0.0);
             ab += m.ab - m.a * m.b / n;
         }
-        ab / ((aa * bb).sqrt() + n * NOISE * NOISE) * n / total
+        ab / ((aa * bb).sqrt() + n * NOISE * NOISE)
     }
 }

@@ -6,8 +6,8 @@
 mod agreement;
 mod view;
 
-pub use agreement::{Agreement, Detail};
+pub use agreement::{Agreement, Detail, SideAgreement};
 pub use view::AppearanceView;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

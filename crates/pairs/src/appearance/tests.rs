@@ -13,7 +13,7 @@ const RADIUS: f64 = 0.04;
 const SIZE: [u32; 2] = [160, 120];
 
 /// The can's axis is the camera's y axis, 0.6 m away; `turn` about it in radians. Colours are multiplied by `gain`.
-fn can(turn: f64, gain: f64) -> (RgbdFrame, Mask) {
+pub(crate) fn can(turn: f64, gain: f64) -> (RgbdFrame, Mask) {
     let [width, height] = SIZE;
     let intrinsics = Intrinsics { fx: 400.0, fy: 400.0, cx: 79.5, cy: 59.5 };
     let mut frame = RgbdFrame {
@@ -48,13 +48,13 @@ fn can(turn: f64, gain: f64) -> (RgbdFrame, Mask) {
 }
 
 /// Turn about the can's axis, then a shift.
-fn turned(degrees: f64, shift: [f64; 3]) -> Pose {
+pub(crate) fn turned(degrees: f64, shift: [f64; 3]) -> Pose {
     let rotation = *Rotation3::from_axis_angle(&Vector3::y_axis(), degrees.to_radians()).matrix();
     let center = Vector3::new(0.0, 0.0, 0.6);
     Pose::new(rotation, center - rotation * center + Vector3::from(shift))
 }
 
-fn view((frame, mask): &(RgbdFrame, Mask)) -> AppearanceView {
+pub(crate) fn view((frame, mask): &(RgbdFrame, Mask)) -> AppearanceView {
     AppearanceView::new(MaskedView { frame, mask }).unwrap()
 }
 

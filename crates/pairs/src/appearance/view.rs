@@ -118,6 +118,45 @@ impl AppearanceView {
         Self { width, camera, samples, colors: [colors, blurred], depth, object }
     }
 
+    /// Colours of the object around where a point (camera frame, metres) is seen, between the cells: as averaged over them,
+    /// then blurred. Zeros away from the object.
+    pub fn colors_at(&self, point: &[f32; 3]) -> [[f32; 3]; 2] {
+        let [x, y, z] = point.map(f64::from);
+        let mut sums = [[0.0f32; 3]; 2];
+        if z <= 0.0 {
+            return sums;
+        }
+        let (u, v) = (self.camera.fx * x / z + self.camera.cx, self.camera.fy * y / z + self.camera.cy);
+        let (left, top) = (u.floor(), v.floor());
+        let (right_share, lower_share) = ((u - left) as f32, (v - top) as f32);
+        let mut total = 0.0;
+        for (row, row_share) in [(top, 1.0 - lower_share), (top + 1.0, lower_share)] {
+            for (col, share) in [(left, 1.0 - right_share), (left + 1.0, right_share)] {
+                if col < 0.0 || row < 0.0 || col >= self.width as f64 || row >= self.height() as f64 {
+                    continue;
+                }
+                let cell = row as usize * self.width + col as usize;
+                if self.object[cell] {
+                    let weight = row_share * share;
+                    total += weight;
+                    for (sum, colors) in sums.iter_mut().zip(&self.colors) {
+                        sum.iter_mut().zip(colors[cell]).for_each(|(sum, c)| *sum += weight * c);
+                    }
+                }
+            }
+        }
+        if total > 0.0 { sums.map(|sum| sum.map(|c| c / total)) } else { sums }
+    }
+
+    /// sRGB around where a point (camera frame, metres) is seen, between the cells; black away from the object.
+    pub fn rgb_at(&self, point: &[f32; 3]) -> [u8; 3] {
+        let [[mean, red_green, yellow_blue], _] = self.colors_at(point);
+        let mean = mean / BRIGHTNESS;
+        let yellow = mean + yellow_blue / 3.0;
+        let rgb = [yellow + red_green / 2.0, yellow - red_green / 2.0, mean - yellow_blue * 2.0 / 3.0];
+        rgb.map(|v| (255.0 * v).round().clamp(0.0, 255.0) as u8)
+    }
+
     /// The camera in cells, cell centres at integer coordinates.
     pub fn camera(&self) -> &Intrinsics {
         &self.camera

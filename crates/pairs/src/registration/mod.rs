@@ -13,6 +13,7 @@ mod fpfh_ransac;
 pub mod icp;
 mod pair;
 mod ppf;
+mod pseudo_symmetry;
 mod refinement;
 mod surface;
 
@@ -25,6 +26,7 @@ pub use fpfh_ransac::FpfhRansac;
 pub use icp::{IcpOutcome, IcpReference, refine};
 pub use pair::{CloudRegistration, PairEstimator, PairPose, Refined};
 pub use ppf::Ppf;
+pub use pseudo_symmetry::{Axis, PseudoSymmetries};
 pub use refinement::Refinement;
 pub use surface::Surface;
 

@@ -15,6 +15,8 @@ pub struct PairPose {
     pub score: f64,
     /// Wall-clock time of this pair, reference included.
     pub seconds: f64,
+    /// Probability that the pose is right and whether that is enough, from estimators that are calibrated.
+    pub confidence: Option<(f64, bool)>,
 }
 
 /// Finds the pose of an object in a query view against one reference view.
@@ -28,6 +30,22 @@ pub trait PairEstimator: Sync {
 
     /// The pose of the object in the query view relative to the reference view.
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError>;
+
+    /// The pose with a refinement that the estimator does itself, before it chooses among several poses. `None`: a refinement
+    /// comes after it.
+    fn estimate_refined(
+        &self,
+        _query: MaskedView,
+        _reference: MaskedView,
+        _refinement: Refinement,
+    ) -> Option<Result<PairPose, RegistrationError>> {
+        None
+    }
+
+    /// Whether [`Self::estimate_refined`] gives poses.
+    fn refines_itself(&self) -> bool {
+        false
+    }
 }
 
 /// Registration of two clouds of points (metres, camera frames).
@@ -55,7 +73,7 @@ impl<R: CloudRegistration> PairEstimator for R {
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
         let start = Instant::now();
         let (t_query_reference, score) = self.register(&query.points(), &reference.points())?;
-        Ok(PairPose { t_query_reference, score, seconds: start.elapsed().as_secs_f64() })
+        Ok(PairPose { t_query_reference, score, seconds: start.elapsed().as_secs_f64(), confidence: None })
     }
 }
 
@@ -81,6 +99,11 @@ impl PairEstimator for Refined<'_> {
     }
 
     fn estimate(&self, query: MaskedView, reference: MaskedView) -> Result<PairPose, RegistrationError> {
+        if self.refinement != Refinement::None
+            && let Some(pair) = self.estimator.estimate_refined(query, reference, self.refinement)
+        {
+            return pair;
+        }
         let pair = self.estimator.estimate(query, reference)?;
         Ok(self.refine(pair, query, reference))
     }

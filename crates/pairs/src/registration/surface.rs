@@ -88,6 +88,12 @@ impl Surface {
         Neighbor { index: nearest.item as usize, squared_distance: nearest.distance }
     }
 
+    /// Indices of the `count` nearest points, the nearest first.
+    pub(super) fn nearest_n(&self, p: &[f32; 3], count: usize) -> Vec<usize> {
+        let Some(count) = NonZeroUsize::new(count) else { return Vec::new() };
+        self.tree.nearest_n::<SquaredEuclidean>(p, count).iter().map(|n| n.item as usize).collect()
+    }
+
     /// All points closer than `radius`, in no particular order.
     pub(super) fn within(&self, p: &[f32; 3], radius: f32) -> Vec<Neighbor> {
         let found = self.tree.within_unsorted::<SquaredEuclidean>(p, radius * radius);

@@ -5,6 +5,7 @@ use unopose_core::geometry::Pose;
 
 use super::{
     super::surface::{Surface, vector},
+    color::{Color, ColorField, Colors, Gain},
     motion::{MAX_ROTATION_DEG, MAX_TRANSLATION, motion},
     settings::{IcpSettings, Metric},
 };
@@ -18,6 +19,11 @@ const CONVERGED: f64 = 1e-5;
 const PLANE_EPSILON: f64 = 1e-2;
 /// Cosine of the largest angle between the normals of matched points.
 const MIN_NORMAL_COSINE: f64 = 0.5;
+/// Distance limit, in extents, above which blurred colours count: their gradients reach as far.
+const BLURRED_FROM: f64 = 0.06;
+/// Deviation of the distances across the surface, in cells, and of the colours, below which they count no more.
+const LEAST_DEVIATION_CELLS: f64 = 0.25;
+const LEAST_COLOR_DEVIATION: f64 = 0.02;
 /// Least sum of weights of a determined motion.
 const MIN_WEIGHT: f64 = 6.0;
 
@@ -25,6 +31,7 @@ const MIN_WEIGHT: f64 = 6.0;
 pub fn iterate(
     query: &Surface,
     reference: &Surface,
+    colors: Option<(&Colors, &ColorField)>,
     start: Pose,
     first: f64,
     settings: &IcpSettings,
@@ -34,7 +41,9 @@ pub fn iterate(
     let last = settings.last_limit.max(2.5 * f64::from(reference.cell) / reference.extent) * reference.extent;
     let mut limit = first * reference.extent;
     for _ in 0..settings.iterations {
-        let step = gauss_newton_step(query, reference, &t_reference_query, limit, scale, settings);
+        let level = usize::from(limit > BLURRED_FROM * reference.extent);
+        let colors = colors.map(|(own, field)| (own, field, level));
+        let step = gauss_newton_step(query, reference, colors, &t_reference_query, limit, scale, settings);
         let Some(step) = step else { break };
         let moved = step * t_reference_query;
         let [shift, turn] = motion(&start.inverse(), &moved.inverse(), &reference.center);
@@ -56,14 +65,17 @@ pub fn iterate(
 fn gauss_newton_step(
     query: &Surface,
     reference: &Surface,
+    colors: Option<(&Colors, &ColorField, usize)>,
     t_reference_query: &Pose,
     limit: f64,
     scale: f64,
     settings: &IcpSettings,
 ) -> Option<Pose> {
     let (mut normal_matrix, mut right, mut total) = (Matrix6::zeros(), Vector6::zeros(), 0.0);
+    let mut photometric: Vec<PhotometricMatch> = Vec::new();
+    let mut across = 0.0;
     let step = query.points.len().div_ceil(MAX_QUERY_POINTS).max(1);
-    for (q, query_normal) in query.points.iter().zip(&query.normals).step_by(step) {
+    for (index, (q, query_normal)) in query.points.iter().zip(&query.normals).enumerate().step_by(step) {
         let p = t_reference_query.rotation * vector(q) + t_reference_query.translation;
         let nearest = reference.nearest(&p.cast::<f32>().into());
         let ratio = f64::from(nearest.squared_distance) / (limit * limit);
@@ -101,9 +113,25 @@ fn gauss_newton_step(
             }
         }
         total += weight;
+        across += weight * normal.dot(&error).powi(2);
+        if let Some((own, field, level)) = colors {
+            photometric.push(PhotometricMatch {
+                arm,
+                along: error - normal * normal.dot(&error),
+                weight,
+                query: own.0[index][level],
+                reference: field.colors.0[nearest.index][level],
+                gradient: field.gradients[nearest.index][level],
+            });
+        }
     }
     if total < MIN_WEIGHT {
         return None;
+    }
+    if !photometric.is_empty() {
+        let floor = LEAST_DEVIATION_CELLS * f64::from(reference.cell);
+        let across = (across / total).max(floor * floor);
+        add_photometric(&photometric, across, &mut normal_matrix, &mut right);
     }
     let eigen = SymmetricEigen::new(normal_matrix / total);
     let solution: Vector6<f64> = eigen
@@ -118,6 +146,44 @@ fn gauss_newton_step(
     let shift = Vector3::new(solution[3], solution[4], solution[5]);
     // About the reference's centre.
     Some(Pose::new(rotation, reference.center - rotation * reference.center + shift))
+}
+
+/// Two matched points as the colours see them.
+struct PhotometricMatch {
+    /// From the reference's centre, in scales.
+    arm: Vector3<f64>,
+    /// From the reference's point to the query's, along the surface, metres.
+    along: Vector3<f64>,
+    weight: f64,
+    query: Color,
+    reference: Color,
+    gradient: [Vector3<f64>; 3],
+}
+
+/// Adds the equations of the colours. Both kinds of residuals count by their own variance; `across`: that of the distances.
+fn add_photometric(
+    matches: &[PhotometricMatch],
+    across: f64,
+    normal_matrix: &mut Matrix6<f64>,
+    right: &mut Vector6<f64>,
+) {
+    let pairs: Vec<(Color, Color)> = matches.iter().map(|m| (m.query, m.reference)).collect();
+    let gains = Gain::between(&pairs);
+    let error = |m: &PhotometricMatch, channel: usize| {
+        m.reference[channel] + m.gradient[channel].dot(&m.along) - gains[channel].apply(m.query[channel])
+    };
+    let total: f64 = matches.iter().map(|m| m.weight).sum();
+    for channel in 0..3 {
+        let squares = matches.iter().map(|m| m.weight * error(m, channel).powi(2)).sum::<f64>();
+        let factor = across / (squares / total).max(LEAST_COLOR_DEVIATION * LEAST_COLOR_DEVIATION);
+        for m in matches {
+            let (gradient, weight) = (m.gradient[channel], m.weight * factor);
+            let moment = m.arm.cross(&gradient);
+            let row = Vector6::new(moment.x, moment.y, moment.z, gradient.x, gradient.y, gradient.z);
+            *normal_matrix += row * row.transpose() * weight;
+            *right -= row * (error(m, channel) * weight);
+        }
+    }
 }
 
 /// Inverse of the summed covariances of two surface points, scaled so that equal normals give 1 across the surface.

@@ -27,6 +27,8 @@ pub struct IcpSettings {
     /// By how many standard errors of a variance the squared residual has to fall: that of n pixels is known up to a share
     /// of about 1 / sqrt(n), so small objects need a clearer gain.
     pub(super) noise: f64,
+    /// Whether colours count where both views have them.
+    pub(super) photometric: bool,
 }
 
 impl IcpSettings {
@@ -40,7 +42,13 @@ impl IcpSettings {
         min_eigenvalue: 0.005,
         gain: 0.95,
         noise: 20.0,
+        photometric: false,
     };
     /// Generalised ICP.
     pub(crate) const GENERALIZED: Self = Self { metric: Metric::PlaneToPlane, ..Self::POINT_TO_PLANE };
+
+    /// The same with a photometric term besides the distances.
+    pub fn colored(self) -> Self {
+        Self { photometric: true, ..self }
+    }
 }

@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use super::*;
+use crate::appearance::tests::{can, turned, view};
 
 /// A bumpy sheet of 0.16 m x 0.12 m seen from 0.7 m; `from` is the column where it begins, in metres.
 fn sheet(from: f64, width: f64, noise: f64, rng: &mut ChaCha8Rng) -> Vec<[f32; 3]> {
@@ -115,4 +116,39 @@ fn stray_pixels_are_no_surface() {
     assert!(reference.points().iter().all(|p| p[2] < 0.75));
     assert!((1500..6000).contains(&reference.points().len()), "{}", reference.points().len());
     assert!(IcpReference::new(&[[0.0, 0.0, 1.0]; 50]).is_none() && IcpReference::new(&[]).is_none());
+}
+
+/// Degrees that are left after the refinement of a can that was turned by 30 degrees, from `start` degrees.
+fn left_of_a_can(start: f64, gain: f64, plain: bool, with_colors: bool) -> (f64, IcpOutcome) {
+    let (mut query, mut reference) = (can((-30f64).to_radians(), gain), can(0.0, 1.0));
+    if plain {
+        for view in [&mut query, &mut reference] {
+            view.0.rgb.pixels_mut().for_each(|pixel| *pixel = image::Rgb([180, 180, 180]));
+        }
+    }
+    let [query_points, reference_points] =
+        [&query, &reference].map(|(frame, mask)| frame.masked_points(mask));
+    let (query, reference) = (view(&query), view(&reference));
+    let icp = IcpReference::new(&reference_points).unwrap().with_colors(&reference);
+    let surface = icp.query(&query_points, with_colors.then_some(&query)).unwrap();
+    let outcome =
+        refine_query(&surface, &icp, &turned(start, [0.0; 3]), &IcpSettings::POINT_TO_PLANE.colored());
+    (outcome.t_query_reference.rotation_angle_deg(&turned(30.0, [0.0; 3])), outcome)
+}
+
+#[test]
+fn colours_hold_what_the_shape_leaves_open() {
+    for (start, gain) in [(20.0, 1.0), (38.0, 1.0), (24.0, 0.6), (36.0, 1.3)] {
+        let (left, outcome) = left_of_a_can(start, gain, false, true);
+        assert!(
+            outcome.accepted && left < 1.5,
+            "from {start} at gain {gain}: {left} degrees left, {outcome:?}"
+        );
+        // The shape alone lets it slide.
+        let (left, outcome) = left_of_a_can(start, gain, false, false);
+        assert!((left - f64::abs(start - 30.0)).abs() < 2.0, "{left} degrees left, {outcome:?}");
+    }
+    // A plain can has nothing to hold on to.
+    let (left, outcome) = left_of_a_can(24.0, 1.0, true, true);
+    assert!((left - 6.0).abs() < 1.5, "{left} degrees left, {outcome:?}");
 }
