@@ -9,6 +9,5 @@ mod formats_dev;
 mod geometry_fixtures;
 mod geometry_properties;
 mod geometry_timing;
-mod mutations;
 mod pairs;
 mod timing;

@@ -18,9 +18,12 @@ use unopose_dataset::{
 };
 use unopose_nn::checkpoint::{OfficialState, TensorFile};
 
-use crate::pytorch_file::{self, Pickled};
+use crate::{
+    pytorch_file::{self, Pickled},
+    set_readers,
+};
 
-type Outcome = Result<(), Box<dyn Error>>;
+pub type Outcome = Result<(), Box<dyn Error>>;
 
 /// A reader and a file that it reads.
 pub struct Reader {
@@ -35,7 +38,7 @@ pub struct Reader {
 }
 
 /// All of them.
-pub const READERS: [Reader; 22] = [
+pub const READERS: [Reader; 28] = [
     Reader { name: "rgb_png", file: "rgb.png", sample: || colour(ImageFormat::Png), read: rgb },
     Reader { name: "rgb_jpeg", file: "rgb.jpg", sample: || colour(ImageFormat::Jpeg), read: rgb },
     Reader { name: "rgb_webp", file: "rgb.webp", sample: || colour(ImageFormat::WebP), read: rgb },
@@ -43,6 +46,7 @@ pub const READERS: [Reader; 22] = [
     Reader { name: "depth_tiff", file: "depth.tif", sample: || depth16(ImageFormat::Tiff), read: depth },
     Reader { name: "depth_npy", file: "depth.npy", sample: npy, read: depth },
     Reader { name: "depth_pfm", file: "depth.pfm", sample: pfm, read: depth },
+    Reader { name: "depth_exr", file: "depth.exr", sample: set_readers::exr, read: depth },
     Reader { name: "depth_pgm", file: "depth.pgm", sample: pgm, read: depth },
     Reader { name: "mask_png", file: "mask.png", sample: mask_png, read: mask },
     Reader { name: "camera_json", file: "camera.json", sample: || text(CAMERA), read: camera },
@@ -55,6 +59,21 @@ pub const READERS: [Reader; 22] = [
     Reader { name: "ply", file: "mesh.ply", sample: || text(PLY), read: mesh_file },
     Reader { name: "obj", file: "mesh.obj", sample: || text(OBJ), read: mesh_file },
     Reader { name: "stl", file: "mesh.stl", sample: stl, read: mesh_file },
+    Reader { name: "glb", file: "mesh.glb", sample: set_readers::glb, read: set_readers::glb_file },
+    Reader { name: "shard", file: set_readers::SHARD, sample: set_readers::shard, read: set_readers::shards },
+    Reader { name: "index", file: set_readers::INDEX, sample: set_readers::index, read: set_readers::shards },
+    Reader {
+        name: "sequence_poses",
+        file: "cam_poses.txt",
+        sample: || text(set_readers::POSES),
+        read: set_readers::sequence,
+    },
+    Reader {
+        name: "sequence_camera",
+        file: "metadata",
+        sample: || text(set_readers::METADATA),
+        read: set_readers::sequence,
+    },
     Reader { name: "safetensors", file: "weights.safetensors", sample: safetensors, read: tensors },
     Reader { name: "pytorch", file: "weights.pth", sample: pytorch, read: pickle },
     Reader { name: "config_toml", file: "config.toml", sample: || text(CONFIG), read: config },
@@ -128,7 +147,7 @@ fn stl() -> Vec<u8> {
     bytes
 }
 
-fn written(name: &str, write: impl FnOnce(&Path) -> Outcome) -> Vec<u8> {
+pub(crate) fn written(name: &str, write: impl FnOnce(&Path) -> Outcome) -> Vec<u8> {
     let read = || -> Result<Vec<u8>, Box<dyn Error>> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join(name);
@@ -167,7 +186,7 @@ fn rgb(folder: &Path) -> Outcome {
 }
 
 fn depth(folder: &Path) -> Outcome {
-    let names = ["depth.png", "depth.tif", "depth.npy", "depth.pfm", "depth.pgm"];
+    let names = ["depth.png", "depth.tif", "depth.npy", "depth.pfm", "depth.pgm", "depth.exr"];
     for file in names.map(|name| folder.join(name)).iter().filter(|file| file.exists()) {
         let depth = read_depth(file, 0.1)?;
         assert!(depth.data.iter().all(|z| z.is_finite() && *z >= 0.0), "depth that is none");
@@ -216,7 +235,10 @@ fn models_info(folder: &Path) -> Outcome {
 
 fn scene(folder: &Path) -> Outcome {
     let camera = r#"{"0": {"cam_K": [600, 0, 320, 0, 600, 240, 0, 0, 1], "depth_scale": 1.0}}"#;
-    std::fs::write(folder.join("test/000001/scene_camera.json"), camera)?;
+    let file = folder.join("test/000001/scene_camera.json");
+    if !file.exists() {
+        std::fs::write(file, camera)?;
+    }
     let scene = BopSplit::open(&folder.join("test"))?.scene(1)?;
     for record in scene.gt(0)? {
         assert!(record.cam_t_m2c.iter().all(|x| x.is_finite()), "{record:?}");

@@ -32,5 +32,4 @@ fn a_print_fixes_the_turn_that_a_plain_body_leaves_open() {
     // The upright axis through the middle, 0.6 m away.
     let off = (axis.point - nalgebra::Vector3::new(0.0, 0.0, 0.6)).cross(&axis.direction).norm();
     assert!(off < 0.005, "{axis:?}");
-    assert!(!plain.alternatives.is_empty());
 }

@@ -15,7 +15,10 @@ const AS_GOOD: f64 = 0.75;
 const ALTERNATIVES_APART_DEG: f64 = 20.0;
 /// Most alternatives of an estimate.
 const MAX_ALTERNATIVES: usize = 8;
-/// Share of the turns about an axis that are as good, from which the angle about it is free.
+/// What free space and colours say of a turn about an axis, in shares of what they say of the answer, up to which it is not
+/// ruled out; the silhouettes of real views never agree.
+const NOT_RULED_OUT: f64 = 0.35;
+/// Share of such turns from which the angle about the axis is free.
 const FREE_SHARE: f64 = 0.5;
 
 /// Judged candidates of a pair.
@@ -119,10 +122,10 @@ impl PoseEstimator {
         }
         let axis = symmetries.and_then(|symmetries| Some((symmetries.axis?, &symmetries.turns)));
         let free_axis = axis.and_then(|(axis, turns)| {
-            let score = |pose: &Pose| judge.judge(pose, Detail::Blurred).score;
-            let (pose, own) = (candidates[best].pose, score(&candidates[best].pose));
-            let as_good = turns.iter().filter(|turn| score(&(pose * **turn)) >= AS_GOOD * own).count();
-            (as_good as f64 >= FREE_SHARE * turns.len() as f64).then_some(axis)
+            let views = |pose: &Pose| judge.judge(pose, Detail::Blurred).views;
+            let (pose, own) = (candidates[best].pose, views(&candidates[best].pose));
+            let possible = turns.iter().filter(|turn| views(&(pose * **turn)) >= NOT_RULED_OUT * own).count();
+            (possible as f64 >= FREE_SHARE * turns.len() as f64).then_some(axis)
         });
         Choice { candidates, best, free_axis }
     }

@@ -16,12 +16,17 @@ const ON_SURFACE: f32 = 0.1;
 /// Angle between two turns of a pose that are both refined, degrees.
 const TURNS_APART_DEG: f64 = 8.0;
 
+/// Exponent of the mutual fit, and factor of the colours' weight, for a body of revolution.
+const FIT_WEIGHT_OF_REVOLUTION: f64 = 0.3;
+const COLOR_WEIGHT_OF_REVOLUTION: f64 = 2.0;
+
 /// Scores poses of one pair by shape, free space and colours.
 pub(super) struct Judge<'a> {
     pair: CloudPair<'a>,
     fit: MutualFit<'a>,
     /// Query and reference, where the configuration asks for them.
     views: Option<[&'a AppearanceView; 2]>,
+    /// Exponent of [`MutualFit::score`].
     fit_weight: f64,
     color_weight: f64,
     free_space_weight: f64,
@@ -32,6 +37,8 @@ pub(super) struct Judge<'a> {
 pub(super) struct Judged {
     /// Above 0: [`MutualFit::score`] times what the views say.
     pub score: f64,
+    /// What free space and colours say alone, its second factor.
+    pub views: f64,
     /// Zeros without views.
     pub agreement: Agreement,
 }
@@ -53,10 +60,11 @@ impl<'a> Judge<'a> {
     /// For a body of revolution. Its turns fit equally well; that they hide some of its surface from the other view makes none
     /// of them less likely.
     pub fn of_revolution(self) -> Self {
-        let tune = |name: &str, default: f64| {
-            std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
-        };
-        Self { fit_weight: tune("T_GA", 1.0), color_weight: tune("T_WA", self.color_weight), ..self }
+        Self {
+            fit_weight: FIT_WEIGHT_OF_REVOLUTION,
+            color_weight: COLOR_WEIGHT_OF_REVOLUTION * self.color_weight,
+            ..self
+        }
     }
 
     /// Score of a pose between the matching frames.
@@ -111,7 +119,8 @@ impl<'a> Judge<'a> {
     fn combined(&self, pose: &Pose, metric: &Pose, detail: Detail) -> Judged {
         let agreement = self.agreement(metric, detail);
         let exponent = self.color_weight * agreement.color - self.free_space_weight * agreement.in_front;
-        Judged { score: self.fit.score(pose).powf(self.fit_weight) * exponent.exp(), agreement }
+        let (fit, views) = (self.fit.score(pose).powf(self.fit_weight), exponent.exp());
+        Judged { score: fit * views, views, agreement }
     }
 }
 

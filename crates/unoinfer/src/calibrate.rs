@@ -6,15 +6,16 @@ use anyhow::ensure;
 use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
 use unopose_cli::{DeviceOption, say};
-use unopose_dataset::{
-    formats::DatasetSplits,
-    protocol::{TargetFiles, TargetList},
-};
+use unopose_dataset::protocol::{TargetFiles, TargetList};
 use unopose_eval::eval::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
 
-use super::{options::HypothesisOptions, progress::ProgressDisplay, score::print_unused};
+use super::{
+    options::{HypothesisOptions, SplitOptions},
+    progress::ProgressDisplay,
+    score::print_unused,
+};
 
 #[derive(Args)]
 pub struct CalibrateArguments {
@@ -33,6 +34,8 @@ pub struct CalibrateArguments {
     /// Detections [default: dets_gt.json of the dataset]
     #[arg(long, value_name = "JSON")]
     detections: Option<PathBuf>,
+    #[command(flatten)]
+    splits: SplitOptions,
     /// Folder for reliability.svg, risk.svg and reliability.json of the pairs of the fit
     #[arg(long, value_name = "DIR", default_value = "calibration")]
     out: PathBuf,
@@ -45,7 +48,7 @@ pub struct CalibrateArguments {
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     let file = |given: &Option<PathBuf>, name: &str| given.clone().unwrap_or(arguments.dataset.join(name));
     let list = TargetList::open(&TargetFiles {
-        splits: DatasetSplits { dataset: arguments.dataset.clone(), ..DatasetSplits::default() },
+        splits: arguments.splits.of(&arguments.dataset),
         targets: file(&arguments.targets, "test_ref_targets_crossscene_rot90.json"),
         detections: file(&arguments.detections, "dets_gt.json"),
         limit: None,

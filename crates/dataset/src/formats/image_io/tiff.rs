@@ -14,6 +14,9 @@ use super::{
     samples::{Samples, Values},
 };
 
+/// Value of the tag for pixels as they are.
+const UNCOMPRESSED: u16 = 1;
+
 /// `None` where the image has several channels or less than a byte per pixel.
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Option<Samples>, FormatError> {
     let error = |source: tiff::TiffError| {
@@ -23,8 +26,17 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Option<Samples>, FormatE
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(error)?;
     let (width, height) = decoder.dimensions().map_err(error)?;
     check_size(path, [width.into(), height.into()], bytes.len() as u64)?;
-    if !matches!(decoder.colortype().map_err(error)?, ColorType::Gray(8..)) {
-        return Ok(None);
+    let ColorType::Gray(bits @ 8..) = decoder.colortype().map_err(error)? else { return Ok(None) };
+    let compression = decoder.find_tag_unsigned::<u16>(Tag::Compression).map_err(error)?;
+    let stored = u64::from(width) * u64::from(height) * u64::from(bits) / 8;
+    if compression.is_none_or(|c| c == UNCOMPRESSED) && stored > bytes.len() as u64 {
+        let expected = format!("at most the file's {} bytes of uncompressed pixels", bytes.len());
+        return Err(FormatError::field(
+            path.display(),
+            "image size",
+            format!("{width} x {height}"),
+            expected,
+        ));
     }
     let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(error)?;
     if let Some(turned) = orientation.filter(|&o| o > 1) {
@@ -33,6 +45,7 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Option<Samples>, FormatE
     }
     let mut limits = Limits::default();
     limits.decoding_buffer_size = width as usize * height as usize * size_of::<f64>();
+    limits.intermediate_buffer_size = limits.decoding_buffer_size;
     let mut decoder = decoder.with_limits(limits);
     let values = match decoder.read_image().map_err(error)? {
         DecodingResult::U8(values) => integers(values),
