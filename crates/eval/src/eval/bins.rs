@@ -43,14 +43,13 @@ impl RotationBins {
             let angle = match (target.rot_deg, infos.get(&target.obj_id)) {
                 (Some(angle), _) => angle,
                 (None, Some(info)) => {
-                    let query = target_split.scene(target.scene_id)?;
-                    let reference = reference_split.scene(target.ref_scene_id)?;
-                    if query.gt(target.im_id).is_err() || reference.gt(target.ref_im_id).is_err() {
-                        // Hidden or broken; who needs it says so.
-                        continue;
-                    }
-                    let (_, t_query) = query.most_visible(target.im_id, target.obj_id)?;
-                    let (_, t_reference) = reference.most_visible(target.ref_im_id, target.obj_id)?;
+                    let pose = |split: &BopSplit, scene_id, im_id| {
+                        split.scene(scene_id).and_then(|scene| scene.most_visible(im_id, target.obj_id))
+                    };
+                    let query = pose(target_split, target.scene_id, target.im_id);
+                    let reference = pose(reference_split, target.ref_scene_id, target.ref_im_id);
+                    // Hidden or broken annotations have no angle; who needs the poses says so.
+                    let (Ok((_, t_query)), Ok((_, t_reference))) = (query, reference) else { continue };
                     info.symmetries.rotation_distance_deg(&t_query, &t_reference)
                 }
                 (None, None) => {

@@ -1,5 +1,6 @@
 //! `unoinfer` as a process.
 
+mod endings;
 mod infer;
 mod inputs;
 mod sam;
