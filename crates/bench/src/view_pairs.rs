@@ -381,6 +381,6 @@ mod tests {
         assert_eq!(verdict(90.0, 0.0, true), Verdict::Right);
         assert_eq!(verdict(0.0, 0.03, false), Verdict::Wrong);
         let measured = Measured::new(&about_y(90.0, 0.0), &Pose::identity(), &can());
-        assert!((measured.rotation_deg - 90.0).abs() < 1e-6 && measured.shape < 0.02);
+        assert!((measured.rotation_deg - 90.0).abs() < 1e-6 && measured.shape < SAME_SHAPE);
     }
 }
