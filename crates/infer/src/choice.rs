@@ -4,7 +4,7 @@ use unopose_core::geometry::Pose;
 use unopose_pairs::{
     appearance::Detail,
     data::CloudInput,
-    registration::{Axis, Refinement, icp::refine_query},
+    registration::{Axis, PseudoSymmetries, Refinement, icp::refine_query},
 };
 
 use super::{Alternative, Candidate, Judge, PairEstimate, PairTrace, PoseEstimator, Query, trace::APART_DEG};
@@ -84,9 +84,9 @@ impl PoseEstimator {
         });
         let turns = self.config.hypotheses.turns;
         let surface = query.reference.surface().filter(|_| turns > 0);
-        let symmetries = surface.map(|surface| surface.pseudo_symmetries());
+        let symmetries = surface.and_then(|surface| surface.pseudo_symmetries());
         let judge = Judge::new(&clouds, &self.config.hypotheses);
-        let judge = match symmetries.and_then(|symmetries| symmetries.axis) {
+        let judge = match symmetries {
             Some(_) => judge.of_revolution(),
             None => judge,
         };
@@ -120,12 +120,11 @@ impl PoseEstimator {
         if with_colors.score > judged.score {
             (*pose, *judged) = (colored, with_colors);
         }
-        let axis = symmetries.and_then(|symmetries| Some((symmetries.axis?, &symmetries.turns)));
-        let free_axis = axis.and_then(|(axis, turns)| {
+        let free_axis = symmetries.and_then(|PseudoSymmetries { axis, turns }| {
             let views = |pose: &Pose| judge.judge(pose, Detail::Blurred).views;
             let (pose, own) = (candidates[best].pose, views(&candidates[best].pose));
             let possible = turns.iter().filter(|turn| views(&(pose * **turn)) >= NOT_RULED_OUT * own).count();
-            (possible as f64 >= FREE_SHARE * turns.len() as f64).then_some(axis)
+            (possible as f64 >= FREE_SHARE * turns.len() as f64).then_some(*axis)
         });
         Choice { candidates, best, free_axis }
     }

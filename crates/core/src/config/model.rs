@@ -134,8 +134,8 @@ pub struct HypothesisConfig {
     pub free_space_weight: f32,
     /// Fine stages from different hypotheses, of which the best scored result is taken.
     pub starts: usize,
-    /// Turns of the pose that the shape hardly tells apart (about an axis of revolution, right angles of a box) which are
-    /// refined and judged beside it. Needs the judgement by colours or free space.
+    /// Turns of the pose of a body of revolution about its axis, which the shape hardly tells apart, that are refined and judged
+    /// beside it. Needs the judgement by colours or free space.
     pub turns: usize,
 }
 

@@ -1,8 +1,7 @@
-//! Turns that a seen shape hardly tells apart: about an axis of revolution, or by right angles of a box.
+//! Turns about an axis of revolution, which a seen shape hardly tells apart.
 //!
 //! The axis comes from slippage analysis (Gelfand, Guibas, "Shape Segmentation Using Local Slippage Analysis", SGP 2004):
-//! the motion along which the points slide on their own tangent planes. A box has no such motion; its axes are the
-//! directions that its normals prefer.
+//! the motion along which the points slide on their own tangent planes.
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, SymmetricEigen, Unit, Vector3, Vector6};
 use unopose_core::geometry::Pose;
@@ -15,18 +14,14 @@ const SLIPPABLE: f64 = 0.02;
 const MIN_TURN: f64 = 0.5;
 /// Step of the turns about an axis of revolution, degrees.
 const STEP_DEG: usize = 10;
-/// Cosine up to which a normal belongs to a face: 25 degrees.
-const FACE_COSINE: f64 = 0.906;
-/// Share of the points left out at either end of a box's side.
-const TRIM: f64 = 0.02;
 
 /// Motions of a camera's frame (metres) that a view of a shape in it hardly tells apart.
 #[derive(Clone, Debug)]
 pub struct PseudoSymmetries {
-    /// Turns about [`Self::axis`] by 10 degrees each, or a box's turns by right angles; without the identity.
+    /// Of the body of revolution.
+    pub axis: Axis,
+    /// Turns about it by 10 degrees each, without the identity.
     pub turns: Vec<Pose>,
-    /// Of a body of revolution.
-    pub axis: Option<Axis>,
 }
 
 /// A line in a camera's frame.
@@ -39,15 +34,13 @@ pub struct Axis {
 }
 
 impl PseudoSymmetries {
-    /// Of a surface.
-    pub(super) fn of(surface: &Surface) -> Self {
-        let Some(axis) = axis_of_revolution(surface) else {
-            return Self { turns: right_angles(surface), axis: None };
-        };
+    /// Of a surface; `None` where no axis is its own.
+    pub(super) fn of(surface: &Surface) -> Option<Self> {
+        let axis = axis_of_revolution(surface)?;
         let direction = Unit::new_normalize(axis.direction);
         let turn = |degrees: usize| Rotation3::from_axis_angle(&direction, (degrees as f64).to_radians());
         let turns = (STEP_DEG..360).step_by(STEP_DEG).map(|degrees| about(turn(degrees), &axis.point));
-        Self { turns: turns.collect(), axis: Some(axis) }
+        Some(Self { turns: turns.collect(), axis })
     }
 }
 
@@ -80,63 +73,6 @@ fn axis_of_revolution(surface: &Surface) -> Option<Axis> {
     Some(Axis { direction: turn.normalize(), point })
 }
 
-/// The 23 turns by right angles about the middle of the surface's box.
-fn right_angles(surface: &Surface) -> Vec<Pose> {
-    let frame = face_directions(&surface.normals);
-    let center = box_center(surface, &frame);
-    let mut turns = Vec::new();
-    for first in 0..3 {
-        for second in (0..3).filter(|&second| second != first) {
-            for signs in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
-                let x = Vector3::ith(first, signs[0]);
-                let y = Vector3::ith(second, signs[1]);
-                let turn = Matrix3::from_columns(&[x, y, x.cross(&y)]);
-                turns.push(Rotation3::from_matrix_unchecked(frame * turn * frame.transpose()));
-            }
-        }
-    }
-    // All but the identity, whose trace is 3.
-    turns.retain(|turn| turn.matrix().trace() < 2.5);
-    turns.into_iter().map(|turn| about(turn, &center)).collect()
-}
-
-/// Three orthogonal directions, the columns: what most normals are near to, what most of the rest are near to, and across.
-fn face_directions(normals: &[Vector3<f64>]) -> Matrix3<f64> {
-    let step = normals.len().div_ceil(300).max(1);
-    let some: Vec<&Vector3<f64>> = normals.iter().step_by(step).collect();
-    let face = |candidates: &[Vector3<f64>]| -> Option<Vector3<f64>> {
-        let near = |n: &Vector3<f64>, direction: &Vector3<f64>| n.dot(direction).abs() > FACE_COSINE;
-        let votes = |direction: &Vector3<f64>| some.iter().filter(|n| near(n, direction)).count();
-        let best = candidates.iter().max_by_key(|direction| votes(direction))?;
-        let members = some.iter().filter(|n| near(n, best));
-        let mean: Vector3<f64> = members.map(|n| **n * n.dot(best).signum()).sum();
-        Some(mean.normalize())
-    };
-    let all: Vec<Vector3<f64>> = some.iter().map(|n| **n).collect();
-    let first = face(&all).unwrap_or_else(Vector3::z);
-    let across: Vec<Vector3<f64>> =
-        all.iter().filter(|n| n.dot(&first).abs() < 0.4).map(|n| n - first * n.dot(&first)).collect();
-    let across: Vec<Vector3<f64>> = across.iter().map(|n| n.normalize()).collect();
-    let second = face(&across).unwrap_or_else(|| {
-        // A single face: any direction along it.
-        let helper = if first.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
-        helper - first * helper.dot(&first)
-    });
-    let second = (second - first * second.dot(&first)).normalize();
-    Matrix3::from_columns(&[first, second, first.cross(&second)])
-}
-
-/// Middle of the surface's extents along the columns of `frame`.
-fn box_center(surface: &Surface, frame: &Matrix3<f64>) -> Vector3<f64> {
-    let middles = Vector3::from_fn(|axis, _| {
-        let mut along: Vec<f64> = surface.points.iter().map(|p| frame.column(axis).dot(&vector(p))).collect();
-        along.sort_unstable_by(f64::total_cmp);
-        let cut = (along.len() as f64 * TRIM) as usize;
-        (along[cut] + along[along.len() - 1 - cut]) / 2.0
-    });
-    frame * middles
-}
-
 /// A turn about a point.
 fn about(turn: Rotation3<f64>, point: &Vector3<f64>) -> Pose {
     let rotation = turn.into_inner();
@@ -163,8 +99,7 @@ mod tests {
             let angle = std::f64::consts::PI * (u - 0.5);
             [0.01 + 0.04 * angle.sin(), 0.1 * (v - 0.5), 0.6 - 0.04 * angle.cos()]
         });
-        let PseudoSymmetries { turns, axis } = PseudoSymmetries::of(&can);
-        let axis = axis.unwrap();
+        let PseudoSymmetries { turns, axis } = PseudoSymmetries::of(&can).unwrap();
         assert!(axis.direction.y.abs() > 0.999, "{axis:?}");
         assert_eq!(turns.len(), 35);
         let quarter = &turns[8];
@@ -178,36 +113,13 @@ mod tests {
     }
 
     #[test]
-    fn a_box_turns_by_right_angles_about_its_middle() {
-        // Three faces of a box of 6 x 10 x 4 cm, turned towards the camera, its middle 0.6 m away.
-        let turn = Rotation3::from_euler_angles(0.5, 0.6, 0.1);
-        let middle = Vector3::new(0.02, -0.01, 0.6);
-        let half = [0.03, 0.05, 0.02];
-        let mut points: Vec<[f32; 3]> = Vec::new();
-        for axis in 0..3 {
-            for i in 0..3000 {
-                let (u, v) = ((i % 60) as f64 / 30.0 - 1.0, (i / 60) as f64 / 25.0 - 1.0);
-                let mut p = Vector3::zeros();
-                // The faces whose outward normal looks at the camera, which is at -z.
-                let normal = turn * Vector3::ith(axis, 1.0);
-                p[axis] = if normal.z < 0.0 { half[axis] } else { -half[axis] };
-                p[(axis + 1) % 3] = u * half[(axis + 1) % 3];
-                p[(axis + 2) % 3] = v * half[(axis + 2) % 3];
-                let p = turn * p + middle;
-                points.push([p.x as f32, p.y as f32, p.z as f32]);
-            }
-        }
-        let PseudoSymmetries { turns, axis } =
-            PseudoSymmetries::of(&Surface::new(&points, 0.0015, "reference").unwrap());
-        assert_eq!(axis, None);
-        assert_eq!(turns.len(), 23);
-        for axis in 0..3 {
-            let half_turn = turn * Rotation3::from_scaled_axis(Vector3::ith(axis, std::f64::consts::PI));
-            let flip = about(half_turn * turn.inverse(), &middle);
-            let nearest = turns.iter().map(|t| t.rotation_angle_deg(&flip)).fold(f64::MAX, f64::min);
-            assert!(nearest < 4.0, "axis {axis}: {nearest} degrees");
-        }
-        let shift = |t: &Pose| (t.rotation * middle + t.translation - middle).norm();
-        assert!(turns.iter().all(|t| shift(t) < 0.005), "{:?}", turns.iter().map(shift).collect::<Vec<_>>());
+    fn a_corner_has_no_axis() {
+        // Three faces of a box that meet in a corner.
+        let corner = surface(|u, v| match (3.0 * u) as usize {
+            0 => [0.1 * (3.0 * u), 0.1 * v, 0.6],
+            1 => [0.1 * (3.0 * u - 1.0), 0.0, 0.6 + 0.1 * v],
+            _ => [0.0, 0.1 * (3.0 * u - 2.0), 0.6 + 0.1 * v],
+        });
+        assert!(PseudoSymmetries::of(&corner).is_none());
     }
 }

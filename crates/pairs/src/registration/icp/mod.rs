@@ -44,7 +44,7 @@ const CELLS: f64 = 70.0;
 pub struct IcpReference {
     surface: Surface,
     colors: Option<ColorField>,
-    pseudo_symmetries: OnceLock<PseudoSymmetries>,
+    pseudo_symmetries: OnceLock<Option<PseudoSymmetries>>,
 }
 
 /// A query cloud as refinement needs it, on the grid of its reference.
@@ -75,9 +75,9 @@ impl IcpReference {
         Some(IcpQuery { surface, colors, pixels: points.len() })
     }
 
-    /// What a view of the shape hardly tells apart.
-    pub fn pseudo_symmetries(&self) -> &PseudoSymmetries {
-        self.pseudo_symmetries.get_or_init(|| PseudoSymmetries::of(&self.surface))
+    /// What a view of a body of revolution hardly tells apart; `None` for other shapes.
+    pub fn pseudo_symmetries(&self) -> Option<&PseudoSymmetries> {
+        self.pseudo_symmetries.get_or_init(|| PseudoSymmetries::of(&self.surface)).as_ref()
     }
 
     /// The downsampled cloud.
