@@ -86,7 +86,13 @@ impl FolderLock {
                     return Err(LockError::Held { folder: folder.to_owned(), owner: Owner::read(&mut file) });
                 }
                 // Some network file systems know no locks.
-                Err(TryLockError::Error(_)) => return Ok(Self { file: None, path, exclusive }),
+                Err(TryLockError::Error(e)) => {
+                    tracing::warn!(
+                        "{} cannot be locked ({e}): another process at work there would not be noticed",
+                        folder.display()
+                    );
+                    return Ok(Self { file: None, path, exclusive });
+                }
             }
         };
         let owner = serde_json::to_vec(&Owner::this()).map_err(|e| with_path(e.into()))?;

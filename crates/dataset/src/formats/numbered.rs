@@ -1,9 +1,10 @@
-//! JSON objects by the number of an image or object.
+//! JSON objects and files by the number of an image or object.
 
 use std::{
     collections::{BTreeMap, btree_map},
     fmt,
     marker::PhantomData,
+    path::{Path, PathBuf},
 };
 
 use serde::{
@@ -51,9 +52,36 @@ pub(super) fn id_of(text: &str) -> Option<u32> {
     text.parse().ok().filter(|_| digits)
 }
 
+/// Digits of a number in the name of a file, as BOP has them.
+pub(super) const DIGITS: usize = 6;
+
+/// The file in `folder` whose name, made of numbers with that many digits, exists: with BOP's six, else with fewer, as older
+/// releases and people's own folders have them (`0012.png`). The one with six digits where there is none.
+pub(super) fn numbered_file(folder: &Path, name: impl Fn(usize) -> String) -> PathBuf {
+    let path = |digits: usize| folder.join(name(digits));
+    let found = (1..=DIGITS).rev().map(path).find(|path| path.is_file());
+    found.unwrap_or_else(|| path(DIGITS))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_may_have_fewer_digits_in_their_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        let find = |id: u32| {
+            let path = numbered_file(folder.path(), |digits| format!("{id:0digits$}_{:0digits$}.png", 1));
+            path.file_name().unwrap().to_str().unwrap().to_owned()
+        };
+        for name in ["0012_0001.png", "12_1.png", "123_1.png", "000004_000001.png", "0004_0001.png"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        assert_eq!(
+            [12, 123, 4, 5].map(find),
+            ["0012_0001.png", "123_1.png", "000004_000001.png", "000005_000001.png"]
+        );
+    }
 
     #[test]
     fn keys_are_ids_and_each_is_there_once() {

@@ -50,6 +50,7 @@ fn check_scene(name: &str, scene: &BopScene, step: usize, models: &Models) -> Pa
     let images: Vec<u32> = scene.image_ids().collect();
     part.images = images.len();
     part.add(unlisted_files(scene, &images));
+    part.add(unlisted_visibility(scene));
     let checked: Vec<(Result<usize, FormatError>, Vec<Finding>, Statistics)> = images
         .par_iter()
         .step_by(step)
@@ -92,7 +93,7 @@ fn check_image(
         let size = format!("{} x {}", mask.width, mask.height);
         Err(FormatError::field(place, "mask size", size, "that of the image"))
     };
-    let whole = |i: usize| scene.folder.join(format!("mask/{im_id:06}_{i:06}.png"));
+    let whole = |i: usize| scene.mask_path("mask", im_id, i);
     let visible = (0..gt.len())
         .map(|i| same_size(scene.mask_visib(im_id, i)?, format!("{name}: image {im_id} instance {i}")))
         .collect::<Result<Vec<_>, _>>()?;
@@ -116,5 +117,15 @@ fn unlisted_files(scene: &BopScene, images: &[u32]) -> Option<Finding> {
     (unlisted > 0).then(|| {
         let what = format!("{unlisted} pictures are not in scene_camera.json");
         Finding::new(scene.folder.join("rgb").display(), what)
+    })
+}
+
+/// Annotated images that `scene_gt_info.json` does not know; readers take their visibility from the masks.
+fn unlisted_visibility(scene: &BopScene) -> Option<Finding> {
+    let count = scene.images_without_info();
+    (count > 0).then(|| {
+        let what =
+            format!("{count} annotated images have no entry, expected one for each image of scene_gt.json");
+        Finding::new(scene.folder.join("scene_gt_info.json").display(), what)
     })
 }

@@ -207,6 +207,18 @@ fn a_bop_set_has_targets_with_references_from_other_scenes() {
     let eight: std::collections::BTreeSet<_> =
         list("8_per_object").iter().map(|t| (t.obj_id, t.ref_scene_id, t.ref_im_id)).collect();
     assert!(eight.len() > one.len() && eight.len() <= 32, "{}", eight.len());
+    assert_eq!(findings(folder.path()), Vec::<String>::new());
+    let info = split.scene_folder(split.scene_ids()[0]).unwrap().join("scene_gt_info.json");
+    let text = std::fs::read_to_string(&info).unwrap();
+    std::fs::write(&info, text.replacen("\"0\":", "\"99\":", 1)).unwrap();
+    let found = findings(folder.path());
+    let expected = "scene_gt_info.json: 1 annotated images have no entry";
+    assert!(found.len() == 1 && found[0].contains(expected), "{found:?}");
+}
+
+fn findings(folder: &Path) -> Vec<String> {
+    let report = check_dataset(folder, 4, &|_, _| {}).unwrap();
+    report.findings().map(|finding| format!("{}: {}", finding.place, finding.what)).collect()
 }
 
 #[test]

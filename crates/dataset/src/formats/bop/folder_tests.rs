@@ -72,6 +72,27 @@ fn folders_of_scenes_may_have_fewer_digits_but_each_number_once() {
     }
 }
 
+#[test]
+fn files_of_images_may_have_fewer_digits() {
+    let folder = tempfile::tempdir().unwrap();
+    let split = folder.path().join("test");
+    write_scene(&split, 1);
+    let read = || BopDataset::open(folder.path()).unwrap().test_split().unwrap().load(1, 7).unwrap();
+    let written = read();
+    for kind in ["rgb", "depth", "mask", "mask_visib"] {
+        for entry in std::fs::read_dir(split.join("000001").join(kind)).unwrap() {
+            let path = entry.unwrap().path();
+            let short = path.file_name().unwrap().to_str().unwrap().replace("0000", "");
+            std::fs::rename(&path, path.with_file_name(short)).unwrap();
+        }
+    }
+    assert!(split.join("000001/rgb/07.png").is_file() && split.join("000001/mask/07_00.png").is_file());
+    let short = read();
+    assert_eq!(short.frame.rgb, written.frame.rgb);
+    assert_eq!(short.frame.depth.data, written.frame.depth.data);
+    assert_eq!(short.instances[0].mask_visib.data, written.instances[0].mask_visib.data);
+}
+
 /// Gives every file and folder of a scene the name of a sensor.
 fn name_sensor(scene: &Path, sensor: &str) {
     for name in
@@ -243,8 +264,10 @@ fn visibility_that_no_file_has_is_that_of_the_masks() {
         assert_eq!(info(7).unwrap(), written);
     }
     // One image lacks an entry, then all do.
+    let lacking = || BopSplit::open(&split).unwrap().scene(1).unwrap().images_without_info();
+    assert_eq!(lacking(), 0);
     std::fs::write(&path, text.replacen("\"7\":", "\"8\":", 1)).unwrap();
-    assert_eq!(info(7).unwrap(), written);
+    assert_eq!((info(7).unwrap(), lacking()), (written.clone(), 1));
     std::fs::remove_file(&path).unwrap();
     assert_eq!(info(0).unwrap(), written);
     // Without whole silhouettes those of the models are taken.

@@ -28,6 +28,7 @@ use std::{
 use super::{
     FormatError,
     models::{ModelInfo, read_models_info},
+    numbered::numbered_file,
 };
 
 /// A BOP dataset folder.
@@ -139,14 +140,16 @@ impl BopDataset {
 
     /// PLY file (mm) of the evaluation model of an object.
     pub fn eval_model_path(&self, obj_id: u32) -> Result<PathBuf, FormatError> {
-        let path = self.models_folder()?.join(format!("obj_{obj_id:06}.ply"));
+        let path = numbered_file(&self.models_folder()?, |digits| format!("obj_{obj_id:0digits$}.ply"));
         if path.is_file() { Ok(path) } else { Err(FormatError::missing(path.display(), "model", "")) }
     }
 
     /// PLY file (mm) of an object's model with its colours: of `models`, else of T-LESS's `models_cad` and
     /// `models_reconst`.
     pub fn textured_model_path(&self, obj_id: u32) -> Result<PathBuf, FormatError> {
-        let file = |folder: &str| self.root.join(folder).join(format!("obj_{obj_id:06}.ply"));
+        let file = |folder: &str| {
+            numbered_file(&self.root.join(folder), |digits| format!("obj_{obj_id:0digits$}.ply"))
+        };
         let folders = ["models", "models_reconst", "models_cad"];
         folders.iter().map(|folder| file(folder)).find(|path| path.is_file()).ok_or_else(|| {
             let hint = format!("looked in {}", folders.join(", "));

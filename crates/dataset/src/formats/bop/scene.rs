@@ -17,6 +17,7 @@ use super::{
         FormatError, Instance,
         camera::{BOP_DEPTH_SCALE, Camera, CameraRecord, read_camera},
         image_io::{image_size, read_depth, read_mask, read_rgb},
+        numbered::numbered_file,
     },
     entries::Entries,
     layout::SceneFiles,
@@ -118,6 +119,11 @@ impl BopScene {
     /// Poses of an image in the order of the file, millimetres. An error when the image has no annotation.
     pub fn gt(&self, im_id: u32) -> Result<&[GtRecord], FormatError> {
         Ok(self.gt.get(im_id)?)
+    }
+
+    /// Number of annotated images that a `scene_gt_info.json` has no entry for.
+    pub fn images_without_info(&self) -> usize {
+        self.derived_info.len()
     }
 
     /// Visibility of the instances of [`Self::gt`]; where `scene_gt_info.json` has no entry, from the masks.
@@ -233,9 +239,10 @@ impl BopScene {
         read_mask(&self.mask_path("mask_visib", im_id, instance))
     }
 
-    /// `kind` is `mask` or `mask_visib`.
-    pub(super) fn mask_path(&self, kind: &str, im_id: u32, instance: usize) -> PathBuf {
-        self.folder.join(self.files.name(kind)).join(format!("{im_id:06}_{instance:06}.png"))
+    /// File of an instance's mask; `kind` is `mask` (the whole silhouette) or `mask_visib`.
+    pub fn mask_path(&self, kind: &str, im_id: u32, instance: usize) -> PathBuf {
+        let folder = self.folder.join(self.files.name(kind));
+        numbered_file(&folder, |digits| format!("{im_id:0digits$}_{instance:0digits$}.png"))
     }
 
     /// An annotated instance with its visible mask.
@@ -253,7 +260,9 @@ impl BopScene {
 
     fn image_path(&self, im_id: u32, folders: &[&str], extensions: &[&str]) -> Result<PathBuf, FormatError> {
         let folders: Vec<String> = folders.iter().map(|folder| self.files.name(folder)).collect();
-        let path = |folder: &str, ext: &str| self.folder.join(folder).join(format!("{im_id:06}.{ext}"));
+        let path = |folder: &str, ext: &str| {
+            numbered_file(&self.folder.join(folder), |digits| format!("{im_id:0digits$}.{ext}"))
+        };
         let candidates =
             folders.iter().flat_map(|folder| extensions.iter().map(move |ext| path(folder, ext)));
         candidates.into_iter().find(|path| path.is_file()).ok_or_else(|| {
