@@ -1,6 +1,7 @@
 //! Training and estimation as a whole.
 
 mod alternatives;
+mod distil;
 mod estimator;
 mod overfit;
 mod run;

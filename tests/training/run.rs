@@ -20,7 +20,7 @@ fn config(overrides: &[&str]) -> Config {
 }
 
 /// Options for a run in `folder/<name>`; all runs of a folder share the data.
-fn options(folder: &Path, name: &str) -> TrainOptions {
+pub fn options(folder: &Path, name: &str) -> TrainOptions {
     TrainOptions {
         out: folder.join(name),
         data_root: folder.join("data"),
@@ -35,13 +35,13 @@ fn options(folder: &Path, name: &str) -> TrainOptions {
     }
 }
 
-fn bits(path: &Path) -> Vec<(String, Vec<u32>)> {
+pub fn bits(path: &Path) -> Vec<(String, Vec<u32>)> {
     let file = TensorFile::read(path).unwrap();
     let of = |data: &burn::tensor::TensorData| data.iter::<f32>().map(f32::to_bits).collect();
     file.tensors.iter().map(|(name, data)| (name.clone(), of(data))).collect()
 }
 
-fn losses(run: &Path) -> Vec<f64> {
+pub fn losses(run: &Path) -> Vec<f64> {
     let events = Journal::read(&run.join("metrics.jsonl")).unwrap();
     let of = |event: &Event| match event {
         Event::Step(record) => Some(record.loss),

@@ -9,7 +9,7 @@ use std::{
 };
 
 use unopose_core::{
-    config::{Config, SynthConfig},
+    config::{Config, ModelConfig, SynthConfig},
     folder_lock::LockError,
 };
 use unopose_dataset::{
@@ -93,13 +93,30 @@ impl Datasets {
 
     /// The stream of training pairs.
     pub fn training_sampler(&self, config: &Config) -> Result<PairSampler, TrainError> {
-        Ok(PairSampler::new(self.training.clone(), &config.data, &config.model, config.seed)?)
+        self.sampler_prepared_with(config, &config.model)
+    }
+
+    /// The stream of training pairs, prepared for another network than `config.model`.
+    pub fn sampler_prepared_with(
+        &self,
+        config: &Config,
+        model: &ModelConfig,
+    ) -> Result<PairSampler, TrainError> {
+        Ok(PairSampler::new(self.training.clone(), &config.data, model, config.seed)?)
+    }
+
+    /// The validation pairs, prepared for `model`.
+    pub fn validation_sampler(
+        &self,
+        config: &Config,
+        model: &ModelConfig,
+    ) -> Result<PairSampler, TrainError> {
+        Ok(PairSampler::new(self.validation.clone(), &config.data, model, VALIDATION_SEED)?)
     }
 
     /// The validation pairs, with the meshes of their objects where the set has them.
     pub fn validation(&self, config: &Config) -> Result<Validation, TrainError> {
-        let sampler =
-            PairSampler::new(self.validation.clone(), &config.data, &config.model, VALIDATION_SEED)?;
+        let sampler = self.validation_sampler(config, &config.model)?;
         let source = self.validation.clone();
         Validation::new(sampler, source, config.train.validation_pairs, |ids| self.objects(ids))
     }

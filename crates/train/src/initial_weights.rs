@@ -1,11 +1,11 @@
 //! The weights that a new run starts from.
 
-use unopose_core::config::{ColorConfig, Config, VitConfig};
+use unopose_core::config::{ColorConfig, Config, HybridConfig, VitConfig};
 use unopose_nn::{checkpoint, model::UnoPose};
 
 use super::{TrainError, options::TrainOptions};
 
-/// The weights that a new run starts from, unless they are random: those of `options.init`, else the backbone's.
+/// The weights that a new run starts from, unless they are random: those of `options.init`, else the colour encoder's.
 pub(super) fn load(
     config: &Config,
     options: &TrainOptions,
@@ -18,6 +18,9 @@ pub(super) fn load(
     match &config.model.color {
         ColorConfig::Vit(VitConfig { weights: Some(path), .. }) => {
             Ok(Some(checkpoint::load_backbone(path, &config.model, random.clone())?))
+        }
+        ColorConfig::Hybrid(HybridConfig { weights: Some(path), .. }) => {
+            Ok(Some(checkpoint::load_encoder(path, &config.model, random.clone())?))
         }
         ColorConfig::Vit(VitConfig { freeze: true, .. }) => {
             tracing::warn!("the frozen vision transformer is random: model.color.weights names no backbone");

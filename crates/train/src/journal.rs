@@ -63,6 +63,10 @@ pub struct ValidationRecord {
     pub average_recall: Option<f64>,
     /// Share of pairs whose coarse pose, before the fine stage, is within 15 degrees.
     pub coarse_within_15deg: f64,
+    /// Of a distilled encoder instead of poses: area under the ROC curve of the features' cosines, same points of a pair's views
+    /// against others, mean over the pairs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub roc_area: Option<f64>,
 }
 
 impl Event {
@@ -77,14 +81,17 @@ impl Event {
 
 impl ValidationRecord {
     /// The score by which the best weights are chosen: the average recall, or the mean of the two shares where it is not
-    /// known; the loss decides between equals.
+    /// known, or the features' ROC area; the loss decides between equals.
     pub fn score(&self) -> f64 {
-        let poses = self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
-        poses - 1e-4 * self.loss.clamp(0.0, 100.0)
+        let poses = || self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
+        self.roc_area.unwrap_or_else(poses) - 1e-4 * self.loss.clamp(0.0, 100.0)
     }
 
     /// One line of text for people.
     pub fn describe(&self) -> String {
+        if let Some(area) = self.roc_area {
+            return format!("loss {:.3}, area under the ROC curve {area:.3}", self.loss);
+        }
         let recall = self.average_recall.map(|ar| format!(", AR {ar:.3}")).unwrap_or_default();
         format!(
             "loss {:.3}, median {:.1} deg and {:.1} cm, {:.0} % within 5 deg/5 cm, {:.0} % within 15 deg{recall}",

@@ -11,6 +11,7 @@
 mod bad_batch;
 mod best;
 mod datasets;
+mod distil;
 mod ema;
 mod error;
 mod figures;
@@ -21,12 +22,15 @@ mod journal;
 mod observer;
 mod optimization;
 mod options;
+mod pose_task;
 mod replicas;
 mod run;
 mod schedule;
 mod state;
+mod task;
 mod validation;
 
+pub use distil::distil;
 pub use error::TrainError;
 pub use journal::{Event, Journal, StepRecord, ValidationRecord};
 pub use observer::{Phase, PhaseExtent, TrainObserver};

@@ -41,9 +41,8 @@ pub fn forward_backward(
     samples: &[TrainSample],
     device: &Device,
 ) -> BatchGradients {
-    let threads = if is_host(device) { rayon::current_num_threads() } else { 1 };
+    let size = share_size(samples.len(), device);
     let positions = PairTensors::groups_of(samples, &config.model, device).map(|g| model.position(&g));
-    let size = samples.len().div_ceil(threads).max(1);
     let parts = samples.chunks(size).enumerate().map(|(index, part)| {
         let leaf = |position: &Option<Tensor<3>>| {
             let own = position.as_ref()?.clone().inner().narrow(0, index * size, part.len());
@@ -56,30 +55,12 @@ pub fn forward_backward(
             share: part.len() as f64 / samples.len() as f64,
         }
     });
-    let parts: Vec<Share<'_>> = parts.collect();
-    let passed: Vec<ShareGradients> = thread::scope(|scope| {
-        if threads == 1 {
-            // On the caller's thread: a GPU's queue belongs to one.
-            return parts.into_iter().map(|part| part.forward_backward(config, device)).collect();
-        }
-        let running: Vec<_> = parts
-            .into_iter()
-            .map(|part| scope.spawn(move || part.forward_backward(config, device)))
-            .collect();
-        let joined = running.into_iter().map(|part| part.join());
-        joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
-    });
+    let passed = side_by_side(parts.collect(), |part: Share<'_>| part.forward_backward(config, device));
 
     let mut losses: Vec<(String, Vec<f32>)> = Vec::new();
     let (mut gradients, mut at_positions) = (Vec::new(), [Vec::new(), Vec::new()]);
     for part in passed {
-        for (index, (name, values)) in part.losses.into_iter().enumerate() {
-            match losses.get_mut(index) {
-                None => losses.push((name, values)),
-                Some((_, all)) if index == 0 => all.iter_mut().zip(values).for_each(|(a, v)| *a += v),
-                Some((_, all)) => all.extend(values),
-            }
-        }
+        join_losses(&mut losses, part.losses);
         gradients.push(part.gradients);
         for (all, own) in at_positions.iter_mut().zip(part.positions) {
             all.extend(own);
@@ -92,6 +73,37 @@ pub fn forward_backward(
         gradients.push(GradientsParams::from_grads(sum.backward(), model));
     }
     BatchGradients { losses, gradients }
+}
+
+/// Items of a batch of `count` that a thread takes.
+pub(super) fn share_size(count: usize, device: &Device) -> usize {
+    let threads = if is_host(device) { rayon::current_num_threads() } else { 1 };
+    count.div_ceil(threads).max(1)
+}
+
+/// `pass` of every part, each on a thread of its own; results in the order of the parts.
+pub(super) fn side_by_side<P: Send, R: Send>(parts: Vec<P>, pass: impl Fn(P) -> R + Sync) -> Vec<R> {
+    if parts.len() == 1 {
+        // On the caller's thread: a GPU's queue belongs to one.
+        return parts.into_iter().map(pass).collect();
+    }
+    let pass = &pass;
+    thread::scope(|scope| {
+        let running: Vec<_> = parts.into_iter().map(|part| scope.spawn(move || pass(part))).collect();
+        let joined = running.into_iter().map(|part| part.join());
+        joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
+}
+
+/// Adds a share's losses to those of the shares before it: the first is its part of the whole loss, the others are per pair.
+pub(super) fn join_losses(losses: &mut Vec<(String, Vec<f32>)>, share: Vec<(String, Vec<f32>)>) {
+    for (index, (name, values)) in share.into_iter().enumerate() {
+        match losses.get_mut(index) {
+            None => losses.push((name, values)),
+            Some((_, all)) if index == 0 => all.iter_mut().zip(values).for_each(|(a, v)| *a += v),
+            Some((_, all)) => all.extend(values),
+        }
+    }
 }
 
 /// Some of a batch's pairs with a network of their own.
@@ -129,8 +141,8 @@ impl Share<'_> {
     }
 }
 
-/// One read from the device.
-fn on_host(losses: &Losses) -> Vec<(String, Vec<f32>)> {
+/// The total and the terms, in one read from the device.
+pub(super) fn on_host(losses: &Losses) -> Vec<(String, Vec<f32>)> {
     let named: Vec<(&str, &Tensor<1>)> = std::iter::once((TOTAL, &losses.total))
         .chain(losses.terms.iter().map(|(name, value)| (name.as_str(), value)))
         .collect();

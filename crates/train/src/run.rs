@@ -7,26 +7,36 @@ use std::{
 };
 
 use unopose_core::{config::Config, files::remove_part_files, folder_lock::FolderLock};
-use unopose_nn::{device::require_precision, model::UnoPose};
+use unopose_nn::device::require_precision;
 use unopose_pairs::data::{BatchStream, TrainSample};
 
 use super::{
     TrainError, bad_batch,
     best::Best,
     datasets::Datasets,
-    figures, folder, initial_weights,
+    figures, folder,
     journal::{Event, Journal, StepRecord, ValidationRecord},
     observer::{Phase, PhaseExtent},
     optimization::Optimization,
     options::{StopReason, TrainOptions, TrainOutcome},
-    replicas::{BatchGradients, TOTAL, forward_backward},
+    pose_task::PoseTask,
+    replicas::{BatchGradients, TOTAL},
     schedule::{Schedule, TimeBudget},
     state::{self, RunState},
-    validation::Validation,
+    task::Task,
 };
 
-/// Trains in `options.out`, or resumes the run there.
+/// Trains the pose network in `options.out`, or resumes the run there.
 pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, TrainError> {
+    run(config, options, |datasets| PoseTask::new(config, options, datasets))
+}
+
+/// Runs the task that `open` makes of the training and validation sets.
+pub(super) fn run<T: Task>(
+    config: &Config,
+    options: &TrainOptions,
+    open: impl FnOnce(Datasets) -> Result<T, TrainError>,
+) -> Result<TrainOutcome, TrainError> {
     let start = Instant::now();
     require_precision(&options.device, config.train.precision)?;
     let _lock = FolderLock::exclusive(&options.out)?;
@@ -43,7 +53,7 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
         }
     }
     match Datasets::open_or_generate(config, options, start)? {
-        ControlFlow::Continue(datasets) => Run::start(config, options, datasets, start)?.run(),
+        ControlFlow::Continue(datasets) => Run::start(config, options, open(datasets)?, start)?.run(),
         ControlFlow::Break(stop_reason) => {
             let earlier = if options.fresh { None } else { state::read_state(&options.out)? };
             let step = earlier.map_or(0, |(step, _)| step);
@@ -53,12 +63,11 @@ pub fn train(config: &Config, options: &TrainOptions) -> Result<TrainOutcome, Tr
 }
 
 /// A run in progress.
-struct Run<'a> {
+struct Run<'a, T: Task> {
     config: &'a Config,
     options: &'a TrainOptions,
-    datasets: Datasets,
-    validation: Validation,
-    optimization: Optimization<UnoPose>,
+    task: T,
+    optimization: Optimization<T::Model>,
     schedule: Schedule,
     journal: Journal,
     best: Best,
@@ -73,26 +82,23 @@ struct Run<'a> {
     validated_step: Option<u64>,
 }
 
-impl<'a> Run<'a> {
+impl<'a, T: Task> Run<'a, T> {
     fn start(
         config: &'a Config,
         options: &'a TrainOptions,
-        datasets: Datasets,
+        task: T,
         start: Instant,
     ) -> Result<Self, TrainError> {
-        let device = options.device.clone().autodiff();
-        let model = UnoPose::new(&config.model, config.seed, &device);
-        let mut optimization = Optimization::new(model, &config.train);
+        let mut optimization = Optimization::new(task.network(), &config.train);
         let restored = match options.fresh {
             true => None,
             false => state::restore(&options.out, &mut optimization, &config.model, options.reset_optimizer)?,
         };
         if restored.is_none()
-            && let Some(model) = initial_weights::load(config, options, optimization.model())?
+            && let Some(model) = task.initial_weights(optimization.model())?
         {
             optimization = Optimization::new(model, &config.train);
         }
-        let validation = datasets.validation(config)?;
         // An earlier run goes only when the new one has all it needs.
         if options.fresh {
             state::clear(&options.out)?;
@@ -107,8 +113,7 @@ impl<'a> Run<'a> {
         Ok(Self {
             config,
             options,
-            validation,
-            datasets,
+            task,
             optimization,
             schedule: Schedule::new(&config.train),
             journal,
@@ -137,7 +142,7 @@ impl<'a> Run<'a> {
             training: limit.saturating_sub(self.start.elapsed()).saturating_sub(reserve),
             first_step,
         });
-        let sampler = self.datasets.training_sampler(self.config)?;
+        let sampler = self.task.training_sampler()?;
         let mut batches = BatchStream::new(
             Arc::new(sampler),
             self.state.next_pair,
@@ -208,26 +213,19 @@ impl<'a> Run<'a> {
         let events = Journal::read(&out.join("metrics.jsonl"))?;
         figures::write_training_curves(&out.join("curves.svg"), &events)?;
         if stop_reason != StopReason::Interrupted {
-            figures::write_pose_sheet(
-                &out.join("poses.png"),
-                &self.optimization.deployed(),
-                self.config,
-                &self.validation,
-                &self.options.device,
-            )?;
+            self.task.write_pictures(&self.optimization.deployed(), out)?;
         }
         Ok(TrainOutcome { stop_reason, step, validations: validations(&events) })
     }
 
     fn step(&mut self, batches: &mut BatchStream, learning_rate: f64) -> Result<StepRecord, TrainError> {
         let train = &self.config.train;
-        let device = self.options.device.clone().autodiff();
         let mut record = StepRecord { learning_rate, ..StepRecord::default() };
         for _ in 0..train.accumulation {
             let samples: Vec<TrainSample> =
                 batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
             let BatchGradients { losses, gradients } =
-                forward_backward(self.optimization.model(), self.config, &samples, &device);
+                self.task.gradients(self.optimization.model(), &samples);
             self.require_finite(&losses, &samples)?;
             for (name, values) in &losses {
                 let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
@@ -259,14 +257,8 @@ impl<'a> Run<'a> {
     /// `None` when interrupted; the next call begins with it.
     fn validate(&mut self) -> Result<Option<ValidationRecord>, TrainError> {
         let start = Instant::now();
-        let (options, model) = (self.options, self.optimization.deployed());
-        let record = self.validation.run(
-            &model,
-            self.config,
-            &options.device,
-            &*options.observer,
-            &options.interrupt,
-        )?;
+        let model = self.optimization.deployed();
+        let record = self.task.validate(&model)?;
         self.state.validation_due = record.is_none();
         let Some(mut record) = record else { return Ok(None) };
         record.step = self.optimization.step();

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::Context as _;
-use clap::Parser;
+use clap::{Args, Parser, Subcommand};
 use unopose_cli::{DeviceOption, print_text, say, tell};
 use unopose_core::{
     config::{Config, MAX_THREADS},
@@ -19,7 +19,7 @@ use unopose_core::{
 };
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
-use unopose_train::{StopReason, TrainOptions, TrainOutcome, train};
+use unopose_train::{StopReason, TrainOptions, TrainOutcome, ValidationRecord, distil, train};
 
 use progress::ProgressBars;
 
@@ -29,11 +29,33 @@ use progress::ProgressBars;
 /// Ctrl-C, SIGTERM and SIGHUP save and stop. Exit codes: 0 done, or stopped by --minutes or --stop-at; 1 failed; 2 wrong
 /// arguments; 4 stopped before that, to be resumed with the same command.
 #[derive(Parser)]
-#[command(version)]
+#[command(version, args_conflicts_with_subcommands = true)]
 struct Arguments {
-    /// Configuration file, or the name of a built-in one: geo, unopose, smoke.
-    #[arg(long, default_value = "geo")]
-    config: PathBuf,
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train the colour encoder alone: it learns the features of a DINOv2 backbone and which points of two views are the same.
+    /// `model.color.weights` of a pose network takes the result.
+    Distil {
+        #[command(flatten)]
+        run: RunArguments,
+        /// DINOv2 weights: safetensors or PyTorch, in the naming of Meta, timm or Hugging Face.
+        #[arg(long, value_name = "FILE")]
+        teacher: PathBuf,
+    },
+}
+
+/// Arguments of every kind of training.
+#[derive(Args)]
+struct RunArguments {
+    /// Configuration file, or the name of a built-in one: geo, unopose, distil, smoke [default: geo, with `distil` distil].
+    #[arg(long)]
+    config: Option<PathBuf>,
     /// Change a configuration value, for example `--set train.steps=2000`. Repeatable.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     overrides: Vec<String>,
@@ -104,7 +126,12 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
-    let config = load(&arguments.config, &arguments.overrides)?;
+    let (arguments, teacher) = match arguments.command {
+        None => (arguments.run, None),
+        Some(Command::Distil { run, teacher }) => (run, Some(teacher)),
+    };
+    let default = if teacher.is_some() { "distil" } else { "geo" };
+    let config = load(arguments.config.as_deref().unwrap_or(Path::new(default)), &arguments.overrides)?;
     if arguments.print_config {
         print_text(&config.to_commented_toml()?);
         return Ok(ExitCode::SUCCESS);
@@ -131,7 +158,10 @@ fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
         interrupt: interrupt.clone(),
         observer: Arc::new(ProgressBars::default()),
     };
-    let outcome = train(&config, &options)?;
+    let outcome = match &teacher {
+        None => train(&config, &options)?,
+        Some(teacher) => distil(&config, &options, teacher)?,
+    };
     let weights = Some(out.join("best.safetensors")).filter(|path| path.exists());
     print_summary(&outcome, &config, weights.as_deref());
     let early = match outcome.stop_reason {
@@ -163,10 +193,23 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>
             other => format!("stopped after {step} of {} steps: {other:?}", config.train.steps),
         }
     );
-    let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
     let first = outcome.validations.first();
     let last = outcome.validations.last().filter(|last| first.is_some_and(|first| first.step != last.step));
-    for record in first.into_iter().chain(last) {
+    let records: Vec<&ValidationRecord> = first.into_iter().chain(last).collect();
+    let table = match records.iter().all(|record| record.roc_area.is_some()) {
+        true if !records.is_empty() => feature_table(&records),
+        _ => pose_table(&records),
+    };
+    print_text(&table.to_string());
+    match weights {
+        Some(path) => say!("weights: {}", path.display()),
+        None => say!("no weights yet; the same command goes on"),
+    }
+}
+
+fn pose_table(records: &[&ValidationRecord]) -> Table {
+    let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
+    for record in records {
         table.push([
             format!("step {}", record.step),
             format!("{:.3}", record.loss),
@@ -177,9 +220,14 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>
             record.average_recall.map_or("-".into(), |ar| format!("{ar:.3}")),
         ]);
     }
-    print_text(&table.to_string());
-    match weights {
-        Some(path) => say!("weights: {}", path.display()),
-        None => say!("no weights yet; the same command goes on"),
+    table
+}
+
+fn feature_table(records: &[&ValidationRecord]) -> Table {
+    let mut table = Table::new(["validation", "loss", "ROC area"]);
+    for record in records {
+        let area = record.roc_area.map_or("-".into(), |area| format!("{area:.3}"));
+        table.push([format!("step {}", record.step), format!("{:.3}", record.loss), area]);
     }
+    table
 }

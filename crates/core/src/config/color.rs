@@ -18,6 +18,9 @@ pub enum ColorConfig {
         /// Channels of the point features.
         out_dim: usize,
     },
+    /// Trainable convolutions to a quarter of the crop's resolution and transformer blocks at an eighth, sampled at the
+    /// points on three levels.
+    Hybrid(HybridConfig),
     /// Geometry only: every point gets the same learned vector.
     None {
         /// Channels of the constant feature.
@@ -53,6 +56,26 @@ pub struct VitConfig {
     pub freeze: bool,
 }
 
+/// Convolutions, then transformer blocks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct HybridConfig {
+    /// Channels of the convolutions at half and quarter resolution.
+    pub channels: [usize; 2],
+    /// Channels of a token; there is one per 8 x 8 pixels of the crop.
+    pub embed_dim: usize,
+    /// Transformer blocks.
+    pub depth: usize,
+    /// Attention heads per block.
+    pub heads: usize,
+    /// Channels of the point features.
+    pub out_dim: usize,
+    /// Checkpoint of a distilled encoder (`unotrain distil`) that training starts from. Unset: random weights. A checkpoint
+    /// of the whole network holds the encoder and does not need this file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+}
+
 /// Resampling of a backbone's position embedding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -68,6 +91,7 @@ impl ColorConfig {
     pub fn out_dim(&self) -> usize {
         match self {
             Self::Vit(vit) => vit.out_dim,
+            Self::Hybrid(hybrid) => hybrid.out_dim,
             Self::Conv { out_dim, .. } | Self::None { out_dim } => *out_dim,
         }
     }
@@ -87,5 +111,11 @@ impl Default for VitConfig {
             position_resampling: PositionResampling::Source,
             freeze: true,
         }
+    }
+}
+
+impl Default for HybridConfig {
+    fn default() -> Self {
+        Self { channels: [32, 64], embed_dim: 192, depth: 4, heads: 3, out_dim: 64, weights: None }
     }
 }

@@ -104,7 +104,7 @@ const LIMITS: &[(&str, Limit)] = &[
     ("model.fine_points", within(4.0, 32_768.0)),
     ("model.coarse_points", within(4.0, 4096.0)),
     ("model.color.embed_dim", CHANNELS),
-    ("model.color.depth", within(4.0, 128.0)),
+    ("model.color.depth", within(1.0, 128.0)),
     ("model.color.heads", within(1.0, 128.0)),
     ("model.color.patch_size", within(1.0, 128.0)),
     ("model.color.register_tokens", within(0.0, 1024.0)),
@@ -141,6 +141,12 @@ const LIMITS: &[(&str, Limit)] = &[
     ("loss.overlap_weight", within(0.0, 1e6)),
     ("loss.correspondence_weight", within(0.0, 1e6)),
     ("loss.clamp", above(0.0, 1e9)),
+    ("distil.teacher_image_size", within(8.0, 2048.0)),
+    ("distil.points", within(2.0, 32_768.0)),
+    ("distil.feature_weight", within(0.0, 1e6)),
+    ("distil.structure_weight", within(0.0, 1e6)),
+    ("distil.contrast_weight", within(0.0, 1e6)),
+    ("distil.temperature", within(1e-6, 1e6)),
     ("train.steps", within(1.0, 1e9)),
     ("train.batch_size", within(1.0, 65_536.0)),
     ("train.accumulation", within(1.0, 65_536.0)),
@@ -209,9 +215,10 @@ mod tests {
         *,
     };
 
-    const COLORS: [&str; 3] = [
+    const COLORS: [&str; 4] = [
         r#"model.color={kind="vit"}"#,
         r#"model.color={kind="conv", channels=[4, 8, 8], out_dim=8}"#,
+        r#"model.color={kind="hybrid"}"#,
         r#"model.color={kind="none", out_dim=8}"#,
     ];
 

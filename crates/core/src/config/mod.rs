@@ -11,6 +11,7 @@
 mod color;
 mod commented;
 mod data;
+mod distil;
 mod error;
 mod limits;
 mod load;
@@ -25,8 +26,9 @@ mod synth;
 mod train;
 mod validate;
 
-pub use color::{ColorConfig, PositionResampling, VitConfig};
+pub use color::{ColorConfig, HybridConfig, PositionResampling, VitConfig};
 pub use data::{AugmentationConfig, DataConfig, PoseNoiseConfig};
+pub use distil::DistilConfig;
 pub use error::ConfigError;
 pub use limits::MAX_THREADS;
 pub use load::EMBEDDED_NAMES;
@@ -61,6 +63,8 @@ pub struct Config {
     pub model: ModelConfig,
     /// Terms of the training loss.
     pub loss: LossConfig,
+    /// Distillation of the colour encoder (`unotrain distil`).
+    pub distil: DistilConfig,
     /// Optimisation, its schedule, validation and checkpoints.
     pub train: TrainConfig,
 }
@@ -74,6 +78,7 @@ impl Default for Config {
             data: DataConfig::default(),
             model: ModelConfig::default(),
             loss: LossConfig::default(),
+            distil: DistilConfig::default(),
             train: TrainConfig::default(),
         }
     }

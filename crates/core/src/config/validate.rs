@@ -157,6 +157,8 @@ impl Rules {
                 let whole = v.embed_dim.is_multiple_of(v.heads);
                 let expected = "a multiple of model.color.heads";
                 self.require("model.color.embed_dim", v.embed_dim, whole, expected);
+                let expected = "at least 4, the blocks whose tokens are read";
+                self.require("model.color.depth", v.depth, v.depth >= 4, expected);
                 let what = "model.color.depth x model.color.embed_dim squared is";
                 let square = (v.embed_dim as f64).powi(2);
                 self.product("model.color.depth", v.depth, square, SQUARE_WEIGHTS, what);
@@ -164,6 +166,19 @@ impl Rules {
                 self.require("model.image_size", image_size, tiles, "a multiple of model.color.patch_size");
                 let few = image_size / v.patch_size.max(1) <= PATCHES;
                 let expected = format!("at most {PATCHES} x model.color.patch_size");
+                self.require("model.image_size", image_size, few, &expected);
+            }
+            ColorConfig::Hybrid(h) => {
+                let whole = h.embed_dim.is_multiple_of(h.heads);
+                let expected = "a multiple of model.color.heads";
+                self.require("model.color.embed_dim", h.embed_dim, whole, expected);
+                let what = "model.color.depth x model.color.embed_dim squared is";
+                let square = (h.embed_dim as f64).powi(2);
+                self.product("model.color.depth", h.depth, square, SQUARE_WEIGHTS, what);
+                let tiles = image_size.is_multiple_of(8);
+                self.require("model.image_size", image_size, tiles, "a multiple of 8");
+                let few = image_size / 8 <= PATCHES;
+                let expected = format!("at most {PATCHES} x 8");
                 self.require("model.image_size", image_size, few, &expected);
             }
             ColorConfig::Conv { .. } => {
@@ -201,6 +216,7 @@ impl Rules {
         let widest = match &m.color {
             ColorConfig::Conv { channels, .. } => number(channels[0]) / 4.0,
             ColorConfig::Vit(v) => number(v.out_dim) / 16.0,
+            ColorConfig::Hybrid(h) => number(h.channels[0]) / 4.0,
             ColorConfig::None { .. } => 0.0,
         };
         let neighbours = |i: usize| number(m.fine_points) * number(m.fine.pe_samples[i]);

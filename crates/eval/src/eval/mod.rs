@@ -39,7 +39,7 @@ pub use object::EvalObject;
 pub use outcome::{PoseErrors, TargetOutcome};
 pub use pose_detection::PoseAveragePrecision;
 pub use prints::PrintScore;
-pub use reliability::{Reliability, ReliabilityBin};
+pub use reliability::{Reliability, ReliabilityBin, roc_area};
 pub use scores::{AverageRecall, BinScore, Scores};
 pub use scoring::{Evaluation, ScoreFiles, score_files};
 pub use segmentation::{SegmentationScores, score_segmentation};

@@ -69,7 +69,7 @@ impl Reliability {
             right_share: rights as f64 / count.max(1) as f64,
             calibration_error: mean(&mut bins.iter().map(|b| (b.predicted - b.right).abs() * b.count as f64)),
             brier: mean(&mut sorted.iter().map(|&(p, right)| (p - f64::from(u8::from(right))).powi(2))),
-            auroc: auroc(&sorted),
+            auroc: roc_area(&sorted),
             risk_area: mean(&mut risk_coverage.iter().map(|(_, risk)| *risk)),
             coverage_at_risk: trusted.map_or(0.0, |(coverage, _)| *coverage),
             bins,
@@ -85,8 +85,9 @@ fn bin(judged: &[(f64, bool)]) -> ReliabilityBin {
     ReliabilityBin { predicted, right: right as f64 / count.max(1) as f64, count }
 }
 
-/// By ranks; equal probabilities count half. `sorted` by descending probability.
-fn auroc(sorted: &[(f64, bool)]) -> Option<f64> {
+/// Area under the ROC curve of (score, right), sorted by descending score: the chance that a right one has a higher score than
+/// a wrong one, equal scores count half. `None` when all are right or all are wrong.
+pub fn roc_area(sorted: &[(f64, bool)]) -> Option<f64> {
     let (mut rights_above, mut wins, mut wrongs) = (0.0, 0.0, 0.0);
     for equal in sorted.chunk_by(|a, b| a.0 == b.0) {
         let rights = equal.iter().filter(|(_, right)| *right).count() as f64;

@@ -113,6 +113,24 @@ pub fn load_into<M: Module>(
     Ok((fill(model, file, path, Some(config))?, meta))
 }
 
+/// Start of the names of the colour encoder's tensors.
+const ENCODER: &str = "feature_extraction.";
+
+/// `model`, which was made from `config`, with the colour encoder of a checkpoint: of a distillation, or of a whole network.
+pub fn load_encoder(
+    path: &Path,
+    config: &ModelConfig,
+    mut model: UnoPose,
+) -> Result<UnoPose, CheckpointError> {
+    let mut file = TensorFile::read(path)?;
+    meta_of(&file, path)?;
+    let of_encoder =
+        |(name, data): (String, TensorData)| Some((name.strip_prefix(ENCODER)?.to_owned(), data));
+    file.tensors = file.tensors.into_iter().filter_map(of_encoder).collect();
+    model.feature_extraction = fill(model.feature_extraction, file, path, Some(config))?;
+    Ok(model)
+}
+
 /// The metadata of a checkpoint that this program wrote.
 pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
     meta_of(&TensorFile::read(path)?, path)

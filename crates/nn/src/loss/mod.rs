@@ -1,9 +1,11 @@
 //! Training losses: per stage and block InfoNCE, overlap and saliency (paper, "Details of Training Objectives"; the
 //! saliency term, thresholds and factors are the release's).
 
+mod distil;
 mod labels;
 mod terms;
 
+pub use distil::{FeaturePair, distil_losses};
 pub use labels::{MatchLabels, pairwise_distance};
 pub use terms::{info_nce, soft_correspondence, weighted_bce};
 

@@ -47,7 +47,7 @@ impl ConvEncoder {
 }
 
 /// 3x3 convolution, Kaiming normal.
-fn conv(input: usize, output: usize, stride: usize, init: &mut Initializer) -> Conv2d {
+pub(super) fn conv(input: usize, output: usize, stride: usize, init: &mut Initializer) -> Conv2d {
     let mut conv = Conv2dConfig::new([input, output], [3, 3])
         .with_stride([stride, stride])
         .with_padding(PaddingConfig2d::Explicit(1, 1, 1, 1))

@@ -11,6 +11,7 @@ use unopose_core::config::{ColorConfig, ModelConfig};
 use super::{
     conv_encoder::ConvEncoder,
     fused::{sampled_linear, weighted_rows},
+    hybrid_encoder::HybridEncoder,
     init::Initializer,
     precision::{like, single},
     rows::select_rows,
@@ -24,12 +25,13 @@ pub struct FeatureExtraction {
     pub rgb_net: RgbNet,
 }
 
-/// Exactly one of `vit` (with `output_upscaling`), `conv` (with `project`) and `constant` is present.
+/// Exactly one of `vit` (with `output_upscaling`), `conv` or `hybrid` (with `project`) and `constant` is present.
 #[derive(Module, Debug)]
 pub struct RgbNet {
     pub vit: Option<VisionTransformer>,
     pub output_upscaling: Option<Linear>,
     pub conv: Option<ConvEncoder>,
+    pub hybrid: Option<HybridEncoder>,
     pub project: Option<Linear>,
     pub constant: Option<Param<Tensor<1>>>,
     image_size: usize,
@@ -47,6 +49,7 @@ impl FeatureExtraction {
             vit: None,
             output_upscaling: None,
             conv: None,
+            hybrid: None,
             project: None,
             constant: None,
             image_size: config.image_size,
@@ -61,6 +64,11 @@ impl FeatureExtraction {
             ColorConfig::Conv { channels, .. } => {
                 net.conv = Some(ConvEncoder::new(*channels, init));
                 net.project = Some(init.linear(channels.iter().sum(), out_dim));
+            }
+            ColorConfig::Hybrid(hybrid) => {
+                net.hybrid = Some(HybridEncoder::new(hybrid, config.image_size, init));
+                let channels = hybrid.channels.iter().sum::<usize>() + hybrid.embed_dim;
+                net.project = Some(init.linear(channels, out_dim));
             }
             ColorConfig::None { .. } => net.constant = Some(init.normal([out_dim], 1.0)),
         }
@@ -77,10 +85,8 @@ impl FeatureExtraction {
 impl RgbNet {
     fn forward(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
         let batch = images.dims()[0];
-        if let (Some(conv), Some(project)) = (&self.conv, &self.project) {
-            let sampled = conv
-                .forward(like(images, &project.weight))
-                .map(|map| sample_map(map, choose, self.image_size));
+        if let (Some(project), Some(maps)) = (&self.project, self.maps(&images)) {
+            let sampled = maps.map(|map| sample_map(map, choose, self.image_size));
             return project.forward(Tensor::cat(sampled.to_vec(), 2));
         }
         if let Some(vit) = &self.vit {
@@ -92,6 +98,15 @@ impl RgbNet {
         let constant = self.constant.as_ref().map(Param::val);
         let constant = constant.unwrap_or_else(|| Tensor::zeros([self.out_dim], &images.device()));
         constant.unsqueeze::<3>().expand([batch, choose.points, self.out_dim])
+    }
+
+    /// The levels that `project` reads.
+    fn maps(&self, images: &Tensor<4>) -> Option<[Tensor<4>; 3]> {
+        let images = like(images.clone(), &self.project.as_ref()?.weight);
+        match (&self.conv, &self.hybrid) {
+            (Some(conv), _) => Some(conv.forward(images)),
+            (None, hybrid) => Some(hybrid.as_ref()?.forward(images)),
+        }
     }
 
     /// The whole up-sampled map `[B, out_dim, 4 S / patch, 4 S / patch]` of the transformer's tokens
@@ -204,6 +219,42 @@ impl PixelChoice {
         self.points
     }
 
+    /// The first `count` points of every item.
+    pub fn first(&self, count: usize) -> Self {
+        let count = count.min(self.points);
+        let of_item = |item: &[u32]| item[..count].to_vec();
+        let index = self.index.chunks(self.points.max(1)).flat_map(of_item).collect();
+        Self { index, batch: self.batch, points: count }
+    }
+
+    /// `row * S + column` of every point, item by item.
+    pub fn pixels(&self) -> &[u32] {
+        &self.index
+    }
+
+    /// The items `first..first + count`.
+    pub fn items(&self, first: usize, count: usize) -> Self {
+        let index = self.index[first * self.points..(first + count) * self.points].to_vec();
+        Self { index, batch: count, points: self.points }
+    }
+
+    /// The same points in crops whose side is `factor` times shorter: `image_size` is the side of the present ones.
+    pub fn reduced(&self, image_size: usize, factor: usize) -> Self {
+        let (size, factor) = (image_size as u32, factor as u32);
+        let reduce = |&pixel: &u32| pixel / size / factor * (size / factor) + pixel % size / factor;
+        Self { index: self.index.iter().map(reduce).collect(), ..*self }
+    }
+
+    /// Bilinear samples (align_corners = false) of a square grid of tokens `[B, side * side, C]`, row by row, that covers the
+    /// crops of `image_size` pixels: `[B, N, C]`.
+    pub fn sample_grid(&self, tokens: Tensor<3>, image_size: usize) -> Tensor<3> {
+        let [batch, cells, channels] = tokens.dims();
+        let side = cells.isqrt();
+        let (rows, weights) = self.taps(image_size, side, |row, column| row * side + column);
+        let samples = weighted_rows(tokens.reshape([batch * cells, channels]), rows, weights);
+        samples.reshape([self.batch, self.points, channels])
+    }
+
     /// Rows of the four neighbours in a flattened `[B * side * side]` map, whose order within an item is `place(row,
     /// column)`, and their weights (half-pixel convention, borders clamped), `[B * N * 4]` each.
     fn taps(
@@ -238,7 +289,5 @@ impl PixelChoice {
 /// Bilinear samples (align_corners = false) of a square map `[B, C, side, side]` at the chosen pixels: `[B, N, C]`.
 fn sample_map(map: Tensor<4>, choose: &PixelChoice, image_size: usize) -> Tensor<3> {
     let [batch, channels, side, _] = map.dims();
-    let (rows, weights) = choose.taps(image_size, side, |row, column| row * side + column);
-    let map = map.permute([0, 2, 3, 1]).reshape([batch * side * side, channels]);
-    weighted_rows(map, rows, weights).reshape([choose.batch, choose.points, channels])
+    choose.sample_grid(map.permute([0, 2, 3, 1]).reshape([batch, side * side, channels]), image_size)
 }

@@ -11,6 +11,7 @@ mod encoded_cloud;
 mod feature_extraction;
 pub mod fused;
 mod geo_embedding;
+mod hybrid_encoder;
 mod init;
 mod linear_attention;
 mod matching;
@@ -19,6 +20,7 @@ mod precision;
 mod rows;
 mod sparse_to_dense;
 mod stages;
+mod student;
 mod tensors;
 mod transformer;
 mod vit;
@@ -33,6 +35,7 @@ pub use matching::BlockOutput;
 pub use positional_encoding::{GroupTensors, PositionalEncoding};
 pub use sparse_to_dense::{DenseTokens, SparseToDenseTransformer};
 pub use stages::{CoarsePointMatching, FinePointMatching, Supervision};
+pub use student::Student;
 pub use tensors::{
     CloudTensors, PairTensors, PoseTensors, SparseRows, StructureTensors, ViewTensors, group_tensors,
     into_group_tensors,

@@ -16,7 +16,7 @@ use super::{
     rows::select_rows,
 };
 
-const LAYER_NORM_EPSILON: f64 = 1e-6;
+pub(super) const LAYER_NORM_EPSILON: f64 = 1e-6;
 /// Blocks whose tokens are read.
 const LEVELS: usize = 4;
 
@@ -120,6 +120,11 @@ impl VisionTransformer {
         self.patch_size
     }
 
+    /// Channels of a token.
+    pub fn channels(&self) -> usize {
+        self.cls_token.dims()[2]
+    }
+
     /// Normalised images `[B, 3, S, S]`, `S` a multiple of the patch size.
     pub fn forward(&self, images: Tensor<4>) -> VitFeatures {
         let (mut x, patches) = self.embed(images);
@@ -211,7 +216,7 @@ fn patch_projection(patch: usize, width: usize, init: &mut Initializer) -> Conv2
 }
 
 impl VitBlock {
-    fn new(width: usize, heads: usize, init: &mut Initializer) -> Self {
+    pub(super) fn new(width: usize, heads: usize, init: &mut Initializer) -> Self {
         Self {
             norm1: init.layer_norm(width, LAYER_NORM_EPSILON),
             attn: SelfAttention {
@@ -226,7 +231,7 @@ impl VitBlock {
         }
     }
 
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+    pub(super) fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         if let Some(y) = vision_block(&self.maps(), &x) {
             return y;
         }

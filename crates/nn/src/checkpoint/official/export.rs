@@ -87,6 +87,13 @@ fn without_counterpart(config: &ModelConfig) -> Option<String> {
                     .into(),
             );
         }
+        ColorConfig::Hybrid(_) => {
+            return Some(
+                "its colour encoder has convolutions before its transformer (model.color.kind = hybrid), the release has \
+                 a vision transformer only"
+                    .into(),
+            );
+        }
         ColorConfig::None { .. } => {
             return Some(
                 "it has no colour encoder (model.color.kind = none), the release has a vision transformer only"

@@ -78,7 +78,9 @@ impl OfficialSizes {
         if let Some(embed_dim) = self.vit_embed_dim {
             let mut vit = match &config.color {
                 ColorConfig::Vit(vit) => vit.clone(),
-                ColorConfig::Conv { .. } | ColorConfig::None { .. } => VitConfig::default(),
+                ColorConfig::Conv { .. } | ColorConfig::Hybrid(_) | ColorConfig::None { .. } => {
+                    VitConfig::default()
+                }
             };
             if vit.embed_dim != embed_dim && embed_dim.is_multiple_of(64) {
                 // Every DINOv2 transformer has heads of 64 channels.
