@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use unopose_core::config::Config;
 use unopose_nn::{
-    checkpoint::{TensorFile, load_encoder},
+    checkpoint::{Meta, TensorFile, load_encoder, load_except_encoder, save},
     model::UnoPose,
 };
 use unopose_tests::backbone_files::{Sizes, meta, safetensors, weights};
-use unopose_train::{StopReason, distil, train};
+use unopose_train::{StopReason, TrainOptions, distil, train};
 
 use super::run::{bits, losses, options};
 
@@ -17,7 +17,13 @@ const ENCODER: &str =
     r#"model.color={kind="hybrid", channels=[4, 8], embed_dim=64, depth=1, heads=1, out_dim=8}"#;
 
 fn config(overrides: &[&str]) -> Config {
-    let small = [ENCODER, "distil.teacher_image_size=64", "distil.points=64", "train.learning_rate=4e-3"];
+    let small = [
+        ENCODER,
+        "distil.teacher_image_size=64",
+        "distil.teacher_blocks=3",
+        "distil.points=64",
+        "train.learning_rate=4e-3",
+    ];
     let all: Vec<String> = small.iter().chain(overrides).map(|text| (*text).to_owned()).collect();
     Config::embedded("smoke", &all).unwrap()
 }
@@ -70,6 +76,19 @@ fn features_come_near_the_teachers_and_a_resumed_run_is_the_same() {
     let poses = self::config(&["train.steps=2", "train.warmup_steps=1", &with_weights]);
     let outcome = train(&poses, &options(folder.path(), "poses")).unwrap();
     assert_eq!(outcome.stop_reason, StopReason::Finished);
+    // With another network's weights for everything else.
+    let conv = Config::embedded("smoke", &[]).unwrap();
+    let other = folder.path().join("other.safetensors");
+    let of_other = UnoPose::new(&conv.model, 3, &device);
+    save(&other, &of_other, &conv, &Meta::default()).unwrap();
+    let mixed = load_except_encoder(&other, &poses.model, UnoPose::new(&poses.model, 9, &device)).unwrap();
+    let weight = |model: &UnoPose| -> Vec<f32> {
+        model.coarse_point_matching.in_proj.weight.val().into_data().iter::<f32>().collect()
+    };
+    assert_eq!(weight(&mixed), weight(&of_other));
+    assert!(mixed.feature_extraction.rgb_net.hybrid.is_some());
+    let with_init = TrainOptions { init: Some(other.clone()), ..options(folder.path(), "mixed") };
+    assert_eq!(train(&poses, &with_init).unwrap().stop_reason, StopReason::Finished);
     // A network of another width is refused by the tensors that differ.
     let wide = with_weights.replace("embed_dim=64", "embed_dim=128");
     let error = train(&self::config(&[&wide]), &options(folder.path(), "wide")).unwrap_err().to_string();
@@ -85,6 +104,7 @@ fn what_cannot_be_distilled_is_named() {
             ["distil.teacher_image_size=72"],
             "distil.teacher_image_size is 72, expected a multiple of model.image_size = 32",
         ),
+        (["distil.teacher_blocks=5"], "distil.teacher_blocks is 5, expected at most 4, the blocks of"),
         (["distil.points=97"], "distil.points is 97, expected at most model.fine_points = 96"),
         ([r#"model.color={kind="none", out_dim=8}"#], "model.color.kind is none, expected hybrid or conv"),
         ([r#"train.precision="bf16""#], "train.precision is bf16, expected f32"),

@@ -3,6 +3,7 @@
 use unopose_core::files::FileError;
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
 use unopose_eval::{eval::EvalError, report::ReportError};
+use unopose_pairs::data::DataError;
 
 /// Error of a benchmark.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +35,9 @@ pub enum BenchError {
         /// All known names, separated by commas.
         expected: String,
     },
+    /// A view of a pair cannot be prepared.
+    #[error(transparent)]
+    Data(#[from] DataError),
     /// An ablation without a network.
     #[error("an ablation compares networks, but none is among the methods")]
     NoNetwork,

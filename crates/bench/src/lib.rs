@@ -29,6 +29,7 @@ mod sequence;
 mod suite;
 mod unoseg_masks;
 pub mod verify;
+mod view_features;
 mod view_pairs;
 
 pub use ablation::INGREDIENTS;
@@ -40,6 +41,7 @@ pub use network::{Network, Switches};
 pub use sequence::{SequenceRun, run_sequence, sequence_table};
 pub use suite::{Method, Suite};
 pub use unoseg_masks::UnoSegMasks;
+pub use view_features::{FeatureSource, PairAreas, features_table, measure_features};
 pub use view_pairs::{PairResult, PairsRun, Verdict, pairs_table, run_pairs};
 
 #[cfg(test)]

@@ -1,6 +1,11 @@
 //! Single pairs of views with a known relative pose, as real recordings give them: no models, no scenes.
 
-use std::{collections::BTreeMap, fmt, io::Write, path::Path};
+use std::{
+    collections::BTreeMap,
+    fmt,
+    io::Write,
+    path::{Path, PathBuf},
+};
 
 use image::RgbImage;
 use nalgebra::Point3;
@@ -30,12 +35,12 @@ const COLOR: image::Rgb<u8> = image::Rgb([255, 170, 0]);
 
 /// An entry of a list of pairs. Further fields are left alone.
 #[derive(Clone, Debug, Deserialize)]
-struct ListedPair {
+pub(super) struct ListedPair {
     /// Name of the object: its masks are `mask_OBJECT.png`.
-    object: String,
+    pub object: String,
     /// Folders of the views, beside the list.
-    reference: String,
-    query: String,
+    pub reference: String,
+    pub query: String,
     /// With a `+` when nothing that is visible fixes the rotation, so that only the shape counts.
     #[serde(default)]
     symmetry: String,
@@ -128,20 +133,15 @@ pub fn run_pairs(
     folder: &Path,
     progress: &dyn Fn(&str, usize, usize),
 ) -> Result<Vec<PairsRun>, BenchError> {
-    let pairs: Vec<ListedPair> = read_json(list)?;
-    if pairs.is_empty() {
-        return Err(FormatError::field(list.display(), "pairs", "none", "at least one").into());
-    }
-    let truths = pairs.iter().map(|pair| pair.truth(list)).collect::<Result<Vec<_>, _>>()?;
-    let mut views = Views { root: list.parent().unwrap_or(Path::new(".")), known: BTreeMap::new() };
+    let mut pairs = PairViews::open(list)?;
     let mut runs = Vec::new();
     for method in methods {
         for &refinement in refinements {
             let method = Refined { estimator: method.estimator.as_ref(), refinement };
             let (mut results, mut tiles) = (Vec::new(), Vec::new());
-            for (done, (pair, truth)) in pairs.iter().zip(&truths).enumerate() {
+            for done in 0..pairs.len() {
                 progress(&method.name(), done, pairs.len());
-                let (result, drawn) = run(pair, truth, &mut views, &method)?;
+                let (result, drawn) = run(&pairs.pair(done)?, &method)?;
                 results.push(result);
                 tiles.extend(drawn);
             }
@@ -168,13 +168,49 @@ impl ListedPair {
     }
 }
 
-/// Views in memory, by folder and object.
-struct Views<'a> {
-    root: &'a Path,
+/// The pairs of a list, their views read on demand and kept.
+pub(super) struct PairViews {
+    root: PathBuf,
+    listed: Vec<(ListedPair, Pose)>,
     known: BTreeMap<(String, String, bool), (RgbdFrame, Mask)>,
 }
 
-impl Views<'_> {
+/// A pair with its views and the true pose, reference to query camera.
+pub(super) struct ViewPair {
+    pub listed: ListedPair,
+    pub truth: Pose,
+    pub reference: (RgbdFrame, Mask),
+    pub query: (RgbdFrame, Mask),
+}
+
+impl PairViews {
+    /// Reads and checks the list.
+    pub fn open(list: &Path) -> Result<Self, FormatError> {
+        let pairs: Vec<ListedPair> = read_json(list)?;
+        if pairs.is_empty() {
+            return Err(FormatError::field(list.display(), "pairs", "none", "at least one"));
+        }
+        let with_truth = |pair: ListedPair| pair.truth(list).map(|truth| (pair, truth));
+        Ok(Self {
+            root: list.parent().unwrap_or(Path::new(".")).to_owned(),
+            listed: pairs.into_iter().map(with_truth).collect::<Result<_, _>>()?,
+            known: BTreeMap::new(),
+        })
+    }
+
+    /// Number of pairs.
+    pub fn len(&self) -> usize {
+        self.listed.len()
+    }
+
+    /// A pair by its place in the list.
+    pub fn pair(&mut self, index: usize) -> Result<ViewPair, FormatError> {
+        let (listed, truth) = self.listed[index].clone();
+        let query = self.get(&listed.query, &listed.object, ViewRole::Query)?;
+        let reference = self.get(&listed.reference, &listed.object, ViewRole::Reference)?;
+        Ok(ViewPair { listed, truth, reference, query })
+    }
+
     fn get(&mut self, folder: &str, object: &str, role: ViewRole) -> Result<(RgbdFrame, Mask), FormatError> {
         let key = (folder.to_owned(), object.to_owned(), role == ViewRole::Reference);
         if let Some(view) = self.known.get(&key) {
@@ -187,16 +223,11 @@ impl Views<'_> {
     }
 }
 
-fn run(
-    pair: &ListedPair,
-    truth: &Pose,
-    views: &mut Views<'_>,
-    method: &Refined<'_>,
-) -> Result<(PairResult, [RgbImage; 3]), BenchError> {
-    let (query, query_mask) = views.get(&pair.query, &pair.object, ViewRole::Query)?;
-    let (reference, reference_mask) = views.get(&pair.reference, &pair.object, ViewRole::Reference)?;
-    let reference_view = MaskedView { frame: &reference, mask: &reference_mask };
-    let estimate = method.estimate(MaskedView { frame: &query, mask: &query_mask }, reference_view);
+fn run(pair: &ViewPair, method: &Refined<'_>) -> Result<(PairResult, [RgbImage; 3]), BenchError> {
+    let ViewPair { listed: pair, truth, reference, query } = pair;
+    let ((reference, reference_mask), (query, query_mask)) = (reference, query);
+    let reference_view = MaskedView { frame: reference, mask: reference_mask };
+    let estimate = method.estimate(MaskedView { frame: query, mask: query_mask }, reference_view);
     let points = reference_view.points();
     let mut result = PairResult {
         object: pair.object.clone(),
@@ -227,7 +258,7 @@ fn run(
         }
     };
     let colors: Vec<[u8; 3]> = reference
-        .measured_pixels(&reference_mask)
+        .measured_pixels(reference_mask)
         .map(|(col, row, _)| reference.rgb.get_pixel(col, row).0)
         .collect();
     let drawn = match &pose {
@@ -250,8 +281,7 @@ fn run(
         let (center, half) = around(mask);
         cutout(image, center, half, TILE)
     };
-    let tiles =
-        [part(&reference.rgb, &reference_mask), part(&outlined, &query_mask), part(&drawn, &query_mask)];
+    let tiles = [part(&reference.rgb, reference_mask), part(&outlined, query_mask), part(&drawn, query_mask)];
     Ok((result, tiles))
 }
 

@@ -1,6 +1,7 @@
 //! [`PoseEstimator`]: a loaded network with what surrounds it.
 
 use std::{
+    collections::BTreeMap,
     path::{Path, PathBuf},
     sync::OnceLock,
     time::Instant,
@@ -46,6 +47,8 @@ pub struct PoseEstimator {
     pub(super) seed: u64,
     pub(super) refinement: Refinement,
     pub(super) calibration: Option<Calibration>,
+    /// What the checkpoint says besides weights and configuration.
+    pub(super) metadata: BTreeMap<String, String>,
     /// Replaces the calibration's threshold.
     pub(super) min_confidence: Option<f64>,
     /// See [`PoseEstimator::network`].
@@ -59,7 +62,7 @@ impl PoseEstimator {
         let (model, config, meta) = checkpoint::load(path, &device)?;
         let calibration = Calibration::from_metadata(&meta.extra, path)?;
         let estimator = Self::new(model, config.model, device, backend, path.display().to_string());
-        Ok(Self { calibration, ..estimator })
+        Ok(Self { calibration, metadata: meta.extra, ..estimator })
     }
 
     /// The network that is compiled in; an error in builds without one.
@@ -69,7 +72,8 @@ impl PoseEstimator {
         let name = format!("embedded {DEFAULT_CHECKPOINT}");
         let (model, config, meta) = checkpoint::load_bytes(bytes, &name, &device)?;
         let calibration = Calibration::from_metadata(&meta.extra, Path::new(&name))?;
-        Ok(Self { calibration, ..Self::new(model, config.model, device, backend, name) })
+        let estimator = Self::new(model, config.model, device, backend, name);
+        Ok(Self { calibration, metadata: meta.extra, ..estimator })
     }
 
     /// `checkpoints/geo.safetensors` beside the binary, else in the working directory, else the embedded one.
@@ -105,9 +109,15 @@ impl PoseEstimator {
             seed: 0,
             refinement: Refinement::None,
             calibration: None,
+            metadata: BTreeMap::new(),
             min_confidence: None,
             network: OnceLock::new(),
         }
+    }
+
+    /// Entries of the checkpoint's metadata besides step and configuration; none of a network in memory.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
     }
 
     /// Checksums of the weights and of the configuration: equal for equal networks, wherever they come from.

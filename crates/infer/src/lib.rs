@@ -30,7 +30,9 @@ mod view_files;
 
 pub use assignments::{Matched, host_assignments};
 use choice::Choice;
-pub use confidence::{Calibration, Confidence, Evidence, Feature, PoseCriterion, Reason, ReasonKind, Term};
+pub use confidence::{
+    Calibration, Confidence, Evidence, Feature, PoseCriterion, Reason, ReasonKind, Term, logistic_regression,
+};
 pub use error::InferError;
 pub use estimate::{Alternative, Estimate, Query, Timings, Trace};
 pub use estimator::PoseEstimator;

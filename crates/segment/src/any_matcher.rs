@@ -2,10 +2,15 @@
 
 use std::path::Path;
 
-use unopose_core::frame::{MaskedView, RgbdFrame};
+use unopose_core::{
+    frame::{Mask, MaskedView, RgbdFrame},
+    geometry::Pose,
+};
 use unopose_infer::PoseEstimator;
 
-use super::{DinoMatcher, DinoObject, GeometricMatcher, GeometricObject, Matcher, Proposal, SegmentError};
+use super::{
+    Comparison, DinoMatcher, DinoObject, GeometricMatcher, GeometricObject, Matcher, Proposal, SegmentError,
+};
 
 /// Any of the matchers.
 pub enum AnyMatcher<'a> {
@@ -28,7 +33,7 @@ impl<'a> AnyMatcher<'a> {
     pub fn choose(descriptor: Option<&Path>, estimator: &'a PoseEstimator) -> Result<Self, SegmentError> {
         Ok(match descriptor {
             Some(path) => Self::Dino(Box::new(DinoMatcher::load(path, estimator.backend())?)),
-            None => Self::Geometric(GeometricMatcher { estimator }),
+            None => Self::Geometric(GeometricMatcher::new(estimator)?),
         })
     }
 }
@@ -57,6 +62,13 @@ impl Matcher for AnyMatcher<'_> {
         }
     }
 
+    fn knows_absence(&self) -> bool {
+        match self {
+            Self::Geometric(matcher) => matcher.knows_absence(),
+            Self::Dino(matcher) => matcher.knows_absence(),
+        }
+    }
+
     fn object(&self, views: &[MaskedView]) -> Result<AnyObject, SegmentError> {
         Ok(match self {
             Self::Geometric(matcher) => AnyObject::Geometric(Box::new(matcher.object(views)?)),
@@ -64,22 +76,35 @@ impl Matcher for AnyMatcher<'_> {
         })
     }
 
-    fn scores(
+    fn compare(
         &self,
         frame: &RgbdFrame,
         proposals: &[Proposal],
         objects: &[&AnyObject],
-    ) -> Result<Vec<Vec<f64>>, SegmentError> {
+    ) -> Result<Vec<Vec<Comparison>>, SegmentError> {
         let other = || SegmentError::OtherMatcher { matcher: self.name() };
         match self {
             Self::Geometric(matcher) => {
                 let own: Option<Vec<_>> = objects.iter().map(|object| object.geometric()).collect();
-                matcher.scores(frame, proposals, &own.ok_or_else(other)?)
+                matcher.compare(frame, proposals, &own.ok_or_else(other)?)
             }
             Self::Dino(matcher) => {
                 let own: Option<Vec<_>> = objects.iter().map(|object| object.dino()).collect();
-                matcher.scores(frame, proposals, &own.ok_or_else(other)?)
+                matcher.compare(frame, proposals, &own.ok_or_else(other)?)
             }
+        }
+    }
+
+    fn recut(
+        &self,
+        frame: &RgbdFrame,
+        mask: &Mask,
+        object: &AnyObject,
+        t_query_reference: &Pose,
+    ) -> Option<Mask> {
+        match self {
+            Self::Geometric(matcher) => matcher.recut(frame, mask, object.geometric()?, t_query_reference),
+            Self::Dino(matcher) => matcher.recut(frame, mask, object.dino()?, t_query_reference),
         }
     }
 }

@@ -119,10 +119,9 @@ fn image<M: Matcher>(
     let list: Vec<&M::Object> = usable.iter().map(|(_, object)| object.as_ref()).collect();
     let found = unoseg.segment(&frame, Some((scene_id, im_id)), &list)?;
     let time = found.seconds;
-    let detections = found.assignments.iter().filter_map(|assigned| {
-        let obj_id = usable.get(assigned.object)?.0;
-        let proposal = found.proposals.get(assigned.proposal)?;
-        Some(proposal.detection(scene_id, im_id, obj_id, assigned.score, time))
+    let detections = found.found.iter().filter_map(|found| {
+        let obj_id = usable.get(found.object)?.0;
+        Some(found.mask.detection(scene_id, im_id, obj_id, found.score, time))
     });
     let proposals = found.proposals.iter().map(|proposal| {
         proposal.detection(scene_id, im_id, 0, f64::from(proposal.score), found.proposal_seconds)

@@ -25,12 +25,14 @@ pub enum SegmentError {
         expected: String,
     },
     /// An image does not show the object.
-    #[error("not found: {proposals} proposals in {image}{}", if *proposals > 0 { ", none is like the reference" } else { "" })]
+    #[error("not found: {proposals} proposals in {image}{}", like_the_reference(*proposals, *best))]
     NotFound {
         /// Path of the image.
         image: String,
         /// Candidate masks found in it.
         proposals: usize,
+        /// Score of the best of them, and the least score of an instance.
+        best: Option<(f64, f64)>,
     },
     /// An object was described by another kind of matcher.
     #[error("an object described by another matcher cannot be compared by {matcher}")]
@@ -53,4 +55,17 @@ pub enum SegmentError {
     /// A view cannot be prepared, or a result cannot be read from the device.
     #[error(transparent)]
     Infer(#[from] InferError),
+}
+
+/// How near the proposals of an image come to the reference, for a message.
+fn like_the_reference(proposals: usize, best: Option<(f64, f64)>) -> String {
+    match best {
+        Some((score, least)) => {
+            format!(
+                ", none is like the reference (the best one scores {score:.2}, an instance at least {least:.2})"
+            )
+        }
+        None if proposals > 0 => ", none is like the reference".into(),
+        None => String::new(),
+    }
 }

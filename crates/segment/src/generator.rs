@@ -27,7 +27,7 @@ pub trait ProposalGenerator: Send + Sync {
         prompt.check(frame.width(), frame.height())?;
         let proposals = self.proposals(frame, None)?;
         if proposals.is_empty() {
-            return Err(SegmentError::NotFound { image: "the image".into(), proposals: 0 });
+            return Err(SegmentError::NotFound { image: "the image".into(), proposals: 0, best: None });
         }
         select_by_prompt(&proposals, prompt, frame.width(), frame.height())
     }

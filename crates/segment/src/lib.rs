@@ -17,6 +17,7 @@ mod lab;
 mod listed;
 mod matcher;
 mod objects;
+mod observe;
 mod prompt;
 mod proposal;
 mod region_merging;
@@ -25,18 +26,21 @@ mod templates;
 mod unoseg;
 
 pub use any_matcher::{AnyMatcher, AnyObject};
-pub use assignment::Assignment;
 pub use dataset::{DatasetSegmentation, segment_targets};
 pub use dino::{DinoMatcher, DinoObject};
 pub use error::SegmentError;
 pub use generator::ProposalGenerator;
-pub use geometric::{GeometricMatcher, GeometricObject};
+pub use geometric::{
+    GeometricMatcher, GeometricObject, MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PosedProposal,
+    PresenceReport,
+};
 pub use listed::ListedProposals;
-pub use matcher::Matcher;
+pub use matcher::{Comparison, Matcher};
 pub use objects::{ObjectKey, ObjectViews};
+pub use observe::observe_matches;
 pub use prompt::Prompt;
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal};
 pub use region_merging::RegionProposals;
 pub use sam::SamProposals;
 pub use templates::Templates;
-pub use unoseg::{ImageSegmentation, UnoSeg};
+pub use unoseg::{FoundObject, ImageSegmentation, UnoSeg};

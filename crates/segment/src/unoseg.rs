@@ -4,10 +4,7 @@ use std::time::Instant;
 
 use unopose_core::frame::RgbdFrame;
 
-use super::{
-    ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError,
-    assignment::{Assignment, assign},
-};
+use super::{ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assignment::assign};
 
 /// A proposal generator with a matcher.
 pub struct UnoSeg<'a, M: Matcher> {
@@ -17,14 +14,26 @@ pub struct UnoSeg<'a, M: Matcher> {
     pub matcher: &'a M,
 }
 
+/// An object in an image.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct FoundObject {
+    /// Index in the list of objects.
+    pub object: usize,
+    /// The matcher's score, in [0, 1].
+    pub score: f64,
+    /// Its mask: a proposal's, cut anew by the object's pose where the matcher has one.
+    pub mask: Proposal,
+}
+
 /// What was found in an image.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct ImageSegmentation {
     /// All candidate masks, best first.
     pub proposals: Vec<Proposal>,
-    /// The proposals that are objects, by descending score.
-    pub assignments: Vec<Assignment>,
+    /// The objects, by descending score.
+    pub found: Vec<FoundObject>,
     /// Time of the proposals, seconds.
     pub proposal_seconds: f64,
     /// Time of proposals, matching and assignment, seconds.
@@ -47,15 +56,35 @@ impl<M: Matcher> UnoSeg<'_, M> {
         let start = Instant::now();
         let proposals = self.generator.proposals(frame, image)?;
         let proposal_seconds = start.elapsed().as_secs_f64();
-        let assignments = match proposals.is_empty() || objects.is_empty() {
+        let found = match proposals.is_empty() || objects.is_empty() {
             true => Vec::new(),
-            false => assign(&proposals, &self.matcher.scores(frame, &proposals, objects)?),
+            false => self.found(frame, &proposals, objects)?,
         };
-        Ok(ImageSegmentation {
-            proposals,
-            assignments,
-            proposal_seconds,
-            seconds: start.elapsed().as_secs_f64(),
-        })
+        Ok(ImageSegmentation { proposals, found, proposal_seconds, seconds: start.elapsed().as_secs_f64() })
+    }
+
+    /// Compares, assigns and cuts the masks anew.
+    fn found(
+        &self,
+        frame: &RgbdFrame,
+        proposals: &[Proposal],
+        objects: &[&M::Object],
+    ) -> Result<Vec<FoundObject>, SegmentError> {
+        let compared = self.matcher.compare(frame, proposals, objects)?;
+        let scores: Vec<Vec<f64>> =
+            compared.iter().map(|row| row.iter().map(|c| c.score).collect()).collect();
+        let found = assign(proposals, &scores).into_iter().map(|assigned| {
+            let proposal = &proposals[assigned.proposal];
+            let pose = compared[assigned.object][assigned.proposal].t_query_reference;
+            let object = objects[assigned.object];
+            let cut = pose.and_then(|pose| self.matcher.recut(frame, &proposal.mask, object, &pose));
+            let mask = cut.and_then(|mask| Proposal::new(mask, proposal.score));
+            FoundObject {
+                object: assigned.object,
+                score: assigned.score,
+                mask: mask.unwrap_or_else(|| proposal.clone()),
+            }
+        });
+        Ok(found.collect())
     }
 }

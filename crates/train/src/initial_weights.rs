@@ -5,15 +5,21 @@ use unopose_nn::{checkpoint, model::UnoPose};
 
 use super::{TrainError, options::TrainOptions};
 
-/// The weights that a new run starts from, unless they are random: those of `options.init`, else the colour encoder's.
+/// The weights that a new run starts from, unless they are random: those of `options.init`, the colour encoder's from its own
+/// file where the configuration names one.
 pub(super) fn load(
     config: &Config,
     options: &TrainOptions,
     random: &UnoPose,
 ) -> Result<Option<UnoPose>, TrainError> {
     if let Some(path) = &options.init {
-        let device = options.device.clone().autodiff();
-        return Ok(Some(checkpoint::load_weights(path, config, &device)?));
+        return Ok(Some(match &config.model.color {
+            ColorConfig::Hybrid(HybridConfig { weights: Some(encoder), .. }) => {
+                let rest = checkpoint::load_except_encoder(path, &config.model, random.clone())?;
+                checkpoint::load_encoder(encoder, &config.model, rest)?
+            }
+            _ => checkpoint::load_weights(path, config, &options.device.clone().autodiff())?,
+        }));
     }
     match &config.model.color {
         ColorConfig::Vit(VitConfig { weights: Some(path), .. }) => {

@@ -13,7 +13,8 @@ pub struct TrainOptions {
     pub out: PathBuf,
     /// Where synthetic data are kept: `<data_root>/<name>`.
     pub data_root: PathBuf,
-    /// Start from the weights in this checkpoint or official state when the folder has no checkpoint.
+    /// Start from the weights in this checkpoint or official state when the folder has no checkpoint. Where `model.color.weights`
+    /// of a hybrid encoder is set, the encoder comes from there.
     pub init: Option<PathBuf>,
     /// Delete an earlier run in the folder instead of resuming it, once the new one has all it needs to begin.
     pub fresh: bool,

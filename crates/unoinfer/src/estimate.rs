@@ -197,10 +197,10 @@ fn estimate_query(
     let view = files.read_as(ViewRole::Query, mask_value)?;
     match finder {
         Some(finder) if view.masks.is_empty() => {
-            let (view, files) = finder.complete(view, files, out)?;
-            estimate_view(estimator, reference, seen, &view, &files, out)
+            let (view, files, scores) = finder.complete(view, files, out)?;
+            estimate_view(estimator, reference, seen, &view, &files, &scores, out)
         }
-        _ => estimate_view(estimator, reference, seen, &view, files, out),
+        _ => estimate_view(estimator, reference, seen, &view, files, &[], out),
     }
 }
 
@@ -210,6 +210,7 @@ fn estimate_view(
     seen: &ReferenceView,
     view: &View,
     files: &ViewFiles,
+    mask_scores: &[f64],
     out: &Path,
 ) -> anyhow::Result<()> {
     let mut found = seen.warnings.clone();
@@ -225,9 +226,12 @@ fn estimate_view(
             confidence.doubt(ReasonKind::DoubtfulUnit, text.clone());
         }
     }
-    let best =
-        results.iter().filter_map(|result| result.as_ref().ok()).max_by(|a, b| a.score.total_cmp(&b.score));
-    let Some(best) = best else {
+    let estimates = results.iter().enumerate().filter_map(|(i, result)| Some((i, result.as_ref().ok()?)));
+    let best = estimates.max_by(|a, b| {
+        let trust = |(i, estimate): &(usize, &Estimate)| trust(estimate, mask_scores.get(*i).copied());
+        trust(a).total_cmp(&trust(b)).then(a.1.score.total_cmp(&b.1.score))
+    });
+    let Some((_, best)) = best else {
         let reasons: Vec<String> = results
             .into_iter()
             .enumerate()
@@ -236,6 +240,9 @@ fn estimate_view(
         bail!("{}", reasons.join("; "));
     };
     let mut value = record(estimator, reference, files, &results, best);
+    for (instance, score) in value["instances"].as_array_mut().into_iter().flatten().zip(mask_scores) {
+        instance["mask_score"] = json!(score);
+    }
     value["warnings"] = json!(found);
     write_json(&out.join("pose.json"), &value, true)?;
     overlay::write_png(&out.join("overlay.png"), &drawn(reference, view, &results))?;
@@ -247,6 +254,13 @@ fn estimate_view(
     }
     say!("{} and overlay.png", out.join("pose.json").display());
     Ok(())
+}
+
+/// By how much an instance is the one to take: the probability that its pose is right, and that its mask is the object where
+/// the program found it. Without a calibration the network's score.
+fn trust(estimate: &Estimate, mask_score: Option<f64>) -> f64 {
+    let pose = estimate.confidence.as_ref().map_or(estimate.score, |confidence| confidence.probability);
+    pose * mask_score.unwrap_or(1.0)
 }
 
 /// The best instance's pose, then all instances.

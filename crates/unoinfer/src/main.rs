@@ -3,10 +3,12 @@
 mod analyse;
 mod bench;
 mod calibrate;
+mod calibrate_masks;
 mod convert;
 mod doctor;
 mod estimate;
 mod eval;
+mod features;
 mod mask_finder;
 mod options;
 mod progress;
@@ -43,6 +45,12 @@ enum Command {
     Analyse(analyse::AnalyseArguments),
     /// Fit the confidence of a checkpoint on synthetic pairs and store it in the checkpoint
     Calibrate(calibrate::CalibrateArguments),
+    /// Measure colour encoders alone on pairs of views with known poses: area under the ROC curve of matching the same against
+    /// different points of the surface
+    Features(features::FeaturesArguments),
+    /// Fit the score of masks that the program finds itself to synthetic images: the probability that a mask is the object of a
+    /// reference, and the threshold below which the object is not there
+    CalibrateMasks(calibrate_masks::CalibrateMasksArguments),
     /// Compare methods, classical ones and the network, on the targets of a BOP dataset
     Bench(bench::BenchArguments),
     /// Score a BOP result table
@@ -72,6 +80,8 @@ fn main() -> std::process::ExitCode {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Analyse(arguments) => analyse::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Features(arguments) => features::run(&arguments),
+        Command::CalibrateMasks(arguments) => calibrate_masks::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),

@@ -15,6 +15,7 @@ pub struct MaskFinder<'a> {
 }
 
 /// The object's instances in an image.
+#[derive(Debug)]
 pub struct FoundMasks {
     /// By descending score, at least one.
     pub instances: Vec<(Proposal, f64)>,
@@ -32,45 +33,47 @@ impl<'a> MaskFinder<'a> {
         Ok(Self { unoseg: UnoSeg { generator, matcher }, object })
     }
 
-    /// Confident detections, or the best one; `image` is for messages.
+    /// Detections that are instances; an error where the object is not in the image. `image` is for messages.
     pub fn find(&self, frame: &RgbdFrame, image: &Path) -> Result<FoundMasks, SegmentError> {
         let found = self.unoseg.segment(frame, None, &[&self.object])?;
         let least = self.unoseg.matcher.instance_score();
-        let confident = found.assignments.iter().take_while(|a| a.score > least).count();
-        let best = found.assignments.iter().take(confident.max(1));
-        let instances: Vec<_> =
-            best.filter_map(|a| Some((found.proposals.get(a.proposal)?.clone(), a.score))).collect();
+        let confident = found.found.iter().take_while(|object| object.score >= least).count();
+        let fewest = usize::from(!self.unoseg.matcher.knows_absence());
+        let best = found.found.first().map(|best| (best.score, least));
+        let taken = found.found.into_iter().take(confident.max(fewest));
+        let instances: Vec<_> = taken.map(|object| (object.mask, object.score)).collect();
         if instances.is_empty() {
-            return Err(not_found(image, found.proposals.len()));
+            return Err(not_found(image, found.proposals.len(), best));
         }
         Ok(FoundMasks { instances, seconds: found.seconds })
     }
 
-    /// The query view with the masks that are found in it, which are written to `OUT/mask_N.png` as well.
+    /// The query view with the masks that are found in it, which are written to `OUT/mask_N.png` as well, and their scores.
     pub fn complete(
         &self,
         mut view: View,
         files: &ViewFiles,
         out: &Path,
-    ) -> anyhow::Result<(View, ViewFiles)> {
+    ) -> anyhow::Result<(View, ViewFiles, Vec<f64>)> {
         if view.frame.depth.data.iter().all(|z| !(z.is_finite() && *z > 0.0)) {
             let expected = "at least one measured pixel";
             return Err(FormatError::field(files.depth.display(), "depth image", "empty", expected).into());
         }
         let found = self.find(&view.frame, &files.rgb)?;
-        let mut masks = Vec::new();
+        let (mut masks, mut scores) = (Vec::new(), Vec::new());
         for (index, (proposal, score)) in found.instances.into_iter().enumerate() {
             let path = out.join(format!("mask_{index}.png"));
             write_mask(&path, &proposal.mask)?;
             say!("{}: segmentation score {score:.3}, {:.3} s", path.display(), found.seconds);
             masks.push(path);
+            scores.push(score);
             view.masks.push(proposal.mask);
         }
-        Ok((view, ViewFiles { masks, ..files.clone() }))
+        Ok((view, ViewFiles { masks, ..files.clone() }, scores))
     }
 }
 
-/// The error of an image in which nothing is found.
-pub fn not_found(image: &Path, proposals: usize) -> SegmentError {
-    SegmentError::NotFound { image: image.display().to_string(), proposals }
+/// The error of an image in which nothing is found; `best` is the highest score and the least one of an instance.
+pub fn not_found(image: &Path, proposals: usize, best: Option<(f64, f64)>) -> SegmentError {
+    SegmentError::NotFound { image: image.display().to_string(), proposals, best }
 }

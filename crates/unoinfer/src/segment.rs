@@ -130,7 +130,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();
     if proposals.is_empty() {
-        return Err(not_found(&path, 0).into());
+        return Err(not_found(&path, 0, None).into());
     }
     let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
     write(&arguments.out, &frame, &all, seconds)

@@ -72,7 +72,8 @@ struct RunArguments {
     /// Stop cleanly after this many minutes, data generation, validation and report included.
     #[arg(long, value_parser = parse_minutes)]
     minutes: Option<Duration>,
-    /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own.
+    /// Start from the weights of this checkpoint or official state (fine-tuning) when the run has none of its own. With
+    /// `model.color.weights` of a hybrid encoder, from those of its other parts.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
     /// Resume the run in the folder (the default).

@@ -10,6 +10,9 @@ pub struct DistilConfig {
     /// Side of the square colour crop that the teacher sees, pixels. A multiple of `model.image_size` and of the side of the
     /// teacher's patches.
     pub teacher_image_size: usize,
+    /// Blocks of the teacher after which its tokens are read. The later ones know what an object is rather than where on it a
+    /// point is.
+    pub teacher_blocks: usize,
     /// Points per view whose features are compared, the first of the dense points.
     pub points: usize,
     /// Weight of one minus the cosine between mapped and teacher's features.
@@ -26,6 +29,7 @@ impl Default for DistilConfig {
     fn default() -> Self {
         Self {
             teacher_image_size: 224,
+            teacher_blocks: 9,
             points: 256,
             feature_weight: 1.0,
             structure_weight: 4.0,

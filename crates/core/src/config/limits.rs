@@ -142,6 +142,7 @@ const LIMITS: &[(&str, Limit)] = &[
     ("loss.correspondence_weight", within(0.0, 1e6)),
     ("loss.clamp", above(0.0, 1e9)),
     ("distil.teacher_image_size", within(8.0, 2048.0)),
+    ("distil.teacher_blocks", within(1.0, 128.0)),
     ("distil.points", within(2.0, 32_768.0)),
     ("distil.feature_weight", within(0.0, 1e6)),
     ("distil.structure_weight", within(0.0, 1e6)),

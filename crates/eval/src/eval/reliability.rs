@@ -87,7 +87,7 @@ fn bin(judged: &[(f64, bool)]) -> ReliabilityBin {
 
 /// Area under the ROC curve of (score, right), sorted by descending score: the chance that a right one has a higher score than
 /// a wrong one, equal scores count half. `None` when all are right or all are wrong.
-pub fn roc_area(sorted: &[(f64, bool)]) -> Option<f64> {
+pub(super) fn roc_area(sorted: &[(f64, bool)]) -> Option<f64> {
     let (mut rights_above, mut wins, mut wrongs) = (0.0, 0.0, 0.0);
     for equal in sorted.chunk_by(|a, b| a.0 == b.0) {
         let rights = equal.iter().filter(|(_, right)| *right).count() as f64;

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use serde::{Deserialize, Serialize};
 use unopose_nn::checkpoint::CheckpointError;
 
-use super::{Evidence, Feature, ReasonKind, fit};
+use super::{Evidence, Feature, ReasonKind, logistic_regression};
 
 /// Key of the checkpoint's metadata.
 const METADATA_KEY: &str = "calibration";
@@ -94,7 +94,10 @@ impl Calibration {
     /// Fits weights to observed estimates and whether they were right. `None` when there are too few of either outcome.
     pub fn fit(observed: &[(Evidence, bool)], right: PoseCriterion, data: &str) -> Option<Self> {
         let rights = observed.iter().filter(|(_, right)| *right).count();
-        let (intercept, weights) = fit::fit(observed)?;
+        let values =
+            |evidence: &Evidence| Feature::ALL.iter().map(|feature| feature.value(evidence)).collect();
+        let rows: Vec<(Vec<f64>, bool)> = observed.iter().map(|(e, right)| (values(e), *right)).collect();
+        let (intercept, weights) = logistic_regression(&rows)?;
         let reached = |feature: Feature, share: f64| {
             let values = observed.iter().filter(|(_, right)| *right).map(|(e, _)| feature.value(e));
             quantile(values.collect(), share)

@@ -2,23 +2,22 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{Evidence, Feature};
-
-/// Fewest pairs of either outcome.
+/// Fewest observations of either outcome.
 const MIN_OUTCOMES: usize = 20;
-/// Penalty on the squared weights of standardised features, in pairs.
+/// Penalty on the squared weights of standardised values, in observations.
 const RIDGE: f64 = 2.0;
 const ITERATIONS: usize = 50;
 
-/// Intercept and one weight per feature, in the order of [`Feature::ALL`]; `None` with too few pairs of either outcome.
-pub fn fit(observed: &[(Evidence, bool)]) -> Option<(f64, Vec<f64>)> {
+/// Log odds of an outcome as a weighted sum of values: intercept, and one non-negative weight per value of an observation (all
+/// have equally many). `None` with fewer than 20 observations of either outcome.
+pub fn logistic_regression(observed: &[(Vec<f64>, bool)]) -> Option<(f64, Vec<f64>)> {
     let rights = observed.iter().filter(|(_, right)| *right).count();
     if rights.min(observed.len() - rights) < MIN_OUTCOMES {
         return None;
     }
-    let columns: Vec<Standardised> = Feature::ALL
-        .iter()
-        .map(|feature| Standardised::new(observed.iter().map(|(e, _)| feature.value(e)).collect()))
+    let count = observed.first().map_or(0, |(values, _)| values.len());
+    let columns: Vec<Standardised> = (0..count)
+        .map(|column| Standardised::new(observed.iter().map(|(values, _)| values[column]).collect()))
         .collect();
     let outcomes =
         DVector::from_iterator(observed.len(), observed.iter().map(|(_, right)| f64::from(u8::from(*right))));

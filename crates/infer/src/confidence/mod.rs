@@ -11,6 +11,7 @@ mod fit;
 pub use calibration::{Calibration, Confidence, PoseCriterion, Reason, Term};
 pub(super) use evidence::Support;
 pub use evidence::{Evidence, Feature, ReasonKind};
+pub use fit::logistic_regression;
 
 #[cfg(test)]
 mod tests;

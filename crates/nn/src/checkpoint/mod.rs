@@ -131,6 +131,20 @@ pub fn load_encoder(
     Ok(model)
 }
 
+/// `model`, which was made from `config`, with the weights of a whole network's checkpoint in all parts but the colour encoder.
+pub fn load_except_encoder(
+    path: &Path,
+    config: &ModelConfig,
+    model: UnoPose,
+) -> Result<UnoPose, CheckpointError> {
+    let mut file = TensorFile::read(path)?;
+    meta_of(&file, path)?;
+    file.tensors.retain(|name, _| !name.starts_with(ENCODER));
+    let own = tensors_of(&model, path)?;
+    file.tensors.extend(own.into_iter().filter(|(name, _)| name.starts_with(ENCODER)));
+    fill(model, file, path, Some(config))
+}
+
 /// The metadata of a checkpoint that this program wrote.
 pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
     meta_of(&TensorFile::read(path)?, path)

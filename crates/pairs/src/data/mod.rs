@@ -18,6 +18,7 @@ mod selection;
 mod stream;
 
 pub use crop::imagenet_normalised;
+pub use dilation::dilated;
 pub use error::DataError;
 pub use label::overlap_share;
 pub use pairs::{FrameSource, PairKey, PairSampler, TrainSample};

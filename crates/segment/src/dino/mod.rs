@@ -10,7 +10,10 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
-use unopose_core::frame::{MaskedView, RgbdFrame};
+use unopose_core::{
+    frame::{Mask, MaskedView, RgbdFrame},
+    geometry::Pose,
+};
 use unopose_infer::InferError;
 use unopose_nn::{
     checkpoint::{checksum, load_transformer},
@@ -18,7 +21,7 @@ use unopose_nn::{
     model::VisionTransformer,
 };
 
-use super::{Matcher, Proposal, SegmentError};
+use super::{Comparison, Matcher, Proposal, SegmentError};
 use crop::{Crop, SIDE};
 use descriptor::{Descriptor, Queries};
 
@@ -99,6 +102,10 @@ impl Matcher for DinoMatcher {
         0.5
     }
 
+    fn knows_absence(&self) -> bool {
+        false
+    }
+
     fn object(&self, views: &[MaskedView]) -> Result<DinoObject, SegmentError> {
         let unusable = |reason: &str| SegmentError::Reference { reason: reason.into() };
         if views.is_empty() {
@@ -108,23 +115,31 @@ impl Matcher for DinoMatcher {
         Ok(DinoObject { views: described.ok_or_else(|| unusable("all of it is background"))? })
     }
 
-    fn scores(
+    fn compare(
         &self,
         frame: &RgbdFrame,
         proposals: &[Proposal],
         objects: &[&DinoObject],
-    ) -> Result<Vec<Vec<f64>>, SegmentError> {
+    ) -> Result<Vec<Vec<Comparison>>, SegmentError> {
         let views: Vec<MaskedView> =
             proposals.iter().map(|proposal| MaskedView { frame, mask: &proposal.mask }).collect();
         let described = self.describe(&views)?;
         let queries = Queries::new(&described, &self.device);
-        let of_object = |object: &&DinoObject| -> Result<Vec<f64>, SegmentError> {
+        let of_object = |object: &&DinoObject| -> Result<Vec<Comparison>, SegmentError> {
             let of_views: Vec<Vec<f64>> =
                 object.views.iter().map(|view| queries.scores(view)).collect::<Result<_, _>>()?;
-            let of_proposal = |p: usize| mean_of_best(of_views.iter().map(|scores| scores[p]).collect());
+            let of_proposal = |p: usize| Comparison {
+                score: mean_of_best(of_views.iter().map(|scores| scores[p]).collect()),
+                t_query_reference: None,
+            };
             Ok((0..proposals.len()).map(of_proposal).collect())
         };
         objects.iter().map(of_object).collect()
+    }
+
+    /// Nothing is known but likeness.
+    fn recut(&self, _: &RgbdFrame, _: &Mask, _: &DinoObject, _: &Pose) -> Option<Mask> {
+        None
     }
 }
 

@@ -1,20 +1,31 @@
 //! Matching with the checkpoint of the pose network: size, colours, features of its colour encoder, and how well the image
 //! agrees with the pose that the network finds.
 //!
-//! The cheap parts order the proposals; only the best ones get a pose. The weights were chosen on synthetic scenes.
+//! The cheap parts order the proposals; only the best ones get a pose. A checkpoint with a fitted [`MatchScore`] in its metadata
+//! gives the probability that a proposal is the object; without one the parts are combined by hand.
 
 mod consistency;
 mod histogram;
+mod match_score;
+mod recut;
+
+pub use match_score::{MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PresenceReport};
+
+use std::path::Path;
 
 use rayon::prelude::*;
-use unopose_core::frame::{Mask, MaskedView, RgbdFrame};
+use unopose_core::{
+    frame::{Mask, MaskedView, RgbdFrame},
+    geometry::Pose,
+};
 use unopose_dataset::protocol::MIN_DETECTION_SCORE;
 use unopose_infer::{PoseEstimator, Query, Reference};
 use unopose_pairs::registration::PairEstimator;
 
-use super::{Matcher, Proposal, SegmentError};
-use consistency::ColoredPoints;
+use super::{Comparison, Matcher, Proposal, SegmentError};
+use consistency::{ColoredPoints, Consistency};
 use histogram::ColorHistogram;
+use recut::ReferenceSurface;
 
 /// Proposals of an image that get a pose for each object.
 const POSED: usize = 8;
@@ -30,7 +41,20 @@ const MIN_REACH: f32 = 0.006;
 /// Compares by the checkpoint of the pose network.
 pub struct GeometricMatcher<'a> {
     /// The loaded pose network.
-    pub estimator: &'a PoseEstimator,
+    estimator: &'a PoseEstimator,
+    /// Of its checkpoint.
+    score: Option<MatchScore>,
+}
+
+/// A proposal that was given a pose.
+#[derive(Clone, Copy, Debug)]
+pub struct PosedProposal {
+    /// Index of the proposal.
+    pub proposal: usize,
+    /// What speaks for it.
+    pub evidence: MatchEvidence,
+    /// Reference camera to query camera.
+    pub t_query_reference: Pose,
 }
 
 /// One reference view as [`GeometricMatcher`] keeps it.
@@ -39,6 +63,7 @@ pub struct GeometricObject {
     histogram: ColorHistogram,
     features: Vec<f32>,
     points: ColoredPoints,
+    surface: ReferenceSurface,
     /// Mean radius of the view's points, metres.
     mean_radius: f64,
 }
@@ -51,12 +76,18 @@ impl Matcher for GeometricMatcher<'_> {
     }
 
     fn fingerprint(&self) -> String {
-        format!("checkpoint 1 {POSED} {DESCRIBED} {}", self.estimator.fingerprint())
+        let score = self.score.as_ref().map(|score| score.to_metadata().1).unwrap_or_default();
+        let score = crc32fast::hash(score.as_bytes());
+        format!("checkpoint 2 {POSED} {DESCRIBED} {score:08x} {}", self.estimator.fingerprint())
     }
 
-    /// As for given detections.
+    /// The fitted threshold, else as for given detections.
     fn instance_score(&self) -> f64 {
-        MIN_DETECTION_SCORE
+        self.score.as_ref().map_or(MIN_DETECTION_SCORE, |score| score.threshold)
+    }
+
+    fn knows_absence(&self) -> bool {
+        self.score.is_some()
     }
 
     /// Only the first view is used.
@@ -72,35 +103,76 @@ impl Matcher for GeometricMatcher<'_> {
             histogram: ColorHistogram::new(&frame.rgb, mask),
             mean_radius: mean_radius(&frame.masked_points(mask)),
             points: ColoredPoints::new(frame, mask),
+            surface: ReferenceSurface::new(frame, mask, reference.radius()),
             reference,
             features,
         })
     }
 
-    fn scores(
+    fn compare(
         &self,
         frame: &RgbdFrame,
         proposals: &[Proposal],
         objects: &[&GeometricObject],
-    ) -> Result<Vec<Vec<f64>>, SegmentError> {
+    ) -> Result<Vec<Vec<Comparison>>, SegmentError> {
+        let posed = self.evidence(frame, proposals, objects)?;
+        let compared = |posed: Vec<PosedProposal>| {
+            let mut compared = vec![Comparison::default(); proposals.len()];
+            for PosedProposal { proposal, evidence, t_query_reference } in posed {
+                let fitted = self.score.as_ref().map(|score| score.probability(&evidence));
+                let score = fitted.unwrap_or_else(|| unfitted(&evidence));
+                compared[proposal] = Comparison { score, t_query_reference: Some(t_query_reference) };
+            }
+            compared
+        };
+        Ok(posed.into_iter().map(compared).collect())
+    }
+
+    fn recut(
+        &self,
+        frame: &RgbdFrame,
+        mask: &Mask,
+        object: &GeometricObject,
+        t_query_reference: &Pose,
+    ) -> Option<Mask> {
+        object.surface.recut(frame, mask, t_query_reference, object.reach())
+    }
+}
+
+impl<'a> GeometricMatcher<'a> {
+    /// With the score in the estimator's checkpoint, if it has one.
+    pub fn new(estimator: &'a PoseEstimator) -> Result<Self, SegmentError> {
+        let score = MatchScore::from_metadata(estimator.metadata(), Path::new(estimator.source()))?;
+        Ok(Self { estimator, score })
+    }
+
+    /// What speaks for the most promising proposals being each object, `[objects]`.
+    pub fn evidence(
+        &self,
+        frame: &RgbdFrame,
+        proposals: &[Proposal],
+        objects: &[&GeometricObject],
+    ) -> Result<Vec<Vec<PosedProposal>>, SegmentError> {
         let described: Vec<(ColorHistogram, f64)> = proposals
             .par_iter()
             .map(|p| (ColorHistogram::new(&frame.rgb, &p.mask), mean_radius(&frame.masked_points(&p.mask))))
             .collect();
-        // Size and colours.
-        let cheap: Vec<Vec<f64>> = objects
-            .iter()
-            .map(|object| {
-                described
-                    .iter()
-                    .map(|(histogram, mean_radius)| {
-                        size_likeness(*mean_radius, object.mean_radius)
-                            * histogram.similarity(&object.histogram).sqrt()
-                    })
-                    .collect()
-            })
-            .collect();
-        let wanted: Vec<Vec<usize>> = cheap.iter().map(|row| best(row, DESCRIBED)).collect();
+        let alike = |object: &GeometricObject| -> Vec<MatchEvidence> {
+            let of =
+                |((histogram, mean_radius), proposal): (&(ColorHistogram, f64), &Proposal)| MatchEvidence {
+                    size: size_likeness(*mean_radius, object.mean_radius),
+                    histogram: histogram.similarity(&object.histogram),
+                    proposal: proposal.score.into(),
+                    ..MatchEvidence::default()
+                };
+            described.iter().zip(proposals).map(of).collect()
+        };
+        let mut evidence: Vec<Vec<MatchEvidence>> = objects.iter().map(|object| alike(object)).collect();
+        let order = |row: &[MatchEvidence], rank: fn(&MatchEvidence) -> f64, count: usize| {
+            best(&row.iter().map(rank).collect::<Vec<f64>>(), count)
+        };
+        let wanted: Vec<Vec<usize>> =
+            evidence.iter().map(|row| order(row, MatchEvidence::size_and_colors, DESCRIBED)).collect();
         let mut any: Vec<usize> = wanted.iter().flatten().copied().collect();
         any.sort_unstable();
         any.dedup();
@@ -109,47 +181,69 @@ impl Matcher for GeometricMatcher<'_> {
         for (&p, found) in any.iter().zip(self.estimator.color_features(frame, &masks)?) {
             features[p] = found;
         }
-        let mut scores = Vec::with_capacity(objects.len());
-        for ((object, row), wanted) in objects.iter().zip(&cheap).zip(wanted) {
-            let mut ordered = vec![0.0; proposals.len()];
-            for p in wanted {
-                let likeness = features[p].as_ref().map_or(0.0, |f| cosine(f, &object.features));
-                ordered[p] = row[p] * (0.5 + 0.5 * likeness.clamp(0.0, 1.0));
+        let mut posed = Vec::with_capacity(objects.len());
+        for ((object, row), wanted) in objects.iter().zip(&mut evidence).zip(wanted) {
+            for &p in &wanted {
+                row[p].appearance = features[p].as_ref().map_or(0.0, |f| cosine(f, &object.features));
             }
-            scores.push(self.pose_scores(frame, proposals, object, &ordered));
+            let of_wanted: Vec<MatchEvidence> = wanted.iter().map(|&p| row[p]).collect();
+            let chosen = order(&of_wanted, MatchEvidence::without_pose, POSED);
+            let chosen = chosen.into_iter().map(|i| (wanted[i], of_wanted[i])).collect();
+            posed.push(self.posed(frame, proposals, object, chosen));
         }
-        Ok(scores)
+        Ok(posed)
     }
-}
 
-impl GeometricMatcher<'_> {
-    /// Final scores of the best of `ordered`; the others stay 0.
-    fn pose_scores(
+    /// The proposals that get a pose, with what it says.
+    fn posed(
         &self,
         frame: &RgbdFrame,
         proposals: &[Proposal],
         object: &GeometricObject,
-        ordered: &[f64],
-    ) -> Vec<f64> {
-        let chosen = best(ordered, POSED);
+        chosen: Vec<(usize, MatchEvidence)>,
+    ) -> Vec<PosedProposal> {
         let queries: Vec<Query<'_>> = chosen
             .iter()
-            .map(|&p| Query { reference: &object.reference, frame, mask: &proposals[p].mask })
+            .map(|(p, _)| Query { reference: &object.reference, frame, mask: &proposals[*p].mask })
             .collect();
         let estimates = self.estimator.estimate_batch(&queries);
-        let reach = (REACH * object.reference.radius()).max(MIN_REACH);
-        let mut scores = vec![0.0; proposals.len()];
-        for (&p, estimate) in chosen.iter().zip(estimates) {
-            let Ok(estimate) = estimate else { continue };
-            let mask = &proposals[p].mask;
-            let seen = object.points.consistency(frame, mask, &estimate.t_query_reference, reach);
-            let agreement = seen.surface * seen.inside * seen.covered;
-            let appearance = ordered[p] * (0.3 + 0.7 * seen.color);
-            scores[p] =
-                (agreement.max(0.0).sqrt() * appearance * (0.4 + 0.6 * estimate.score)).clamp(0.0, 1.0);
-        }
-        scores
+        let judged = chosen.iter().zip(estimates).filter_map(|(&(proposal, evidence), estimate)| {
+            let estimate = estimate.ok()?;
+            let (mask, t_query_reference) = (&proposals[proposal].mask, estimate.t_query_reference);
+            let seen = object.points.consistency(frame, mask, &t_query_reference, object.reach());
+            let Consistency { surface, inside, covered, color } = seen;
+            let evidence =
+                MatchEvidence { surface, inside, covered, color, pose: estimate.evidence, ..evidence };
+            Some(PosedProposal { proposal, evidence, t_query_reference })
+        });
+        judged.collect()
     }
+}
+
+impl GeometricObject {
+    /// Largest distance of a point on the surface from what is measured, metres.
+    fn reach(&self) -> f32 {
+        (REACH * self.reference.radius()).max(MIN_REACH)
+    }
+}
+
+impl MatchEvidence {
+    /// Order in which proposals are described by the colour encoder.
+    fn size_and_colors(&self) -> f64 {
+        self.size * self.histogram.sqrt()
+    }
+
+    /// Order in which proposals get a pose.
+    fn without_pose(&self) -> f64 {
+        self.size_and_colors() * (0.5 + 0.5 * self.appearance.clamp(0.0, 1.0))
+    }
+}
+
+/// The score of a checkpoint without a fitted one, combined by hand.
+fn unfitted(evidence: &MatchEvidence) -> f64 {
+    let agreement = evidence.surface * evidence.inside * evidence.covered;
+    let appearance = evidence.without_pose() * (0.3 + 0.7 * evidence.color);
+    (agreement.max(0.0).sqrt() * appearance * (0.4 + 0.6 * evidence.pose.fit)).clamp(0.0, 1.0)
 }
 
 /// Indices of the `count` largest values above 0, largest first.

@@ -15,6 +15,7 @@ use crate::TrainError;
 pub struct Teacher {
     network: VisionTransformer,
     image_size: usize,
+    blocks: usize,
     channels: usize,
 }
 
@@ -39,7 +40,12 @@ impl Teacher {
             let expected = format!("a multiple of {patch}, the side of the patches of {}", path.display());
             return Err(wrong("distil.teacher_image_size", image_size, expected));
         }
-        Ok(Self { channels: network.channels(), network, image_size })
+        let blocks = config.distil.teacher_blocks;
+        if blocks > network.depth() {
+            let expected = format!("at most {}, the blocks of {}", network.depth(), path.display());
+            return Err(wrong("distil.teacher_blocks", blocks, expected));
+        }
+        Ok(Self { channels: network.channels(), network, image_size, blocks })
     }
 
     /// Channels of a feature.
@@ -47,9 +53,9 @@ impl Teacher {
         self.channels
     }
 
-    /// Final patch tokens of crops `[B, 3, T, T]`, sampled bilinearly at the points: `[B, N, channels]`.
+    /// Patch tokens of crops `[B, 3, T, T]` after `distil.teacher_blocks` blocks, sampled bilinearly at the points: `[B, N, channels]`.
     pub fn features(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
-        choose.sample_grid(self.network.forward(images).patch_tokens(), self.image_size)
+        choose.sample_grid(self.network.tokens_after(images, self.blocks), self.image_size)
     }
 
     /// What pairs are prepared with: crops of the teacher's size, and nothing that only poses need.

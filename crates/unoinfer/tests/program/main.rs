@@ -1,5 +1,6 @@
 //! `unoinfer` as a process.
 
+mod absence;
 mod endings;
 mod infer;
 mod inputs;
