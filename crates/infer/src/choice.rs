@@ -7,7 +7,10 @@ use unopose_pairs::{
     registration::{Axis, PseudoSymmetries, Refinement, icp::refine_query},
 };
 
-use super::{Alternative, Candidate, Judge, PairEstimate, PairTrace, PoseEstimator, Query, trace::APART_DEG};
+use super::{
+    Alternative, Candidate, Judge, PairEstimate, PairTrace, PoseEstimator, Query,
+    point_features::FeatureAgreement, trace::APART_DEG,
+};
 
 /// Score of a pose, in shares of the best one's, from which the evidence does not tell them apart.
 const AS_GOOD: f64 = 0.75;
@@ -85,7 +88,12 @@ impl PoseEstimator {
         let turns = self.config.hypotheses.turns;
         let surface = query.reference.surface().filter(|_| turns > 0);
         let symmetries = surface.and_then(|surface| surface.pseudo_symmetries());
-        let judge = Judge::new(&clouds, &self.config.hypotheses);
+        let features = stages.features.as_ref().zip(query.reference.features());
+        let features = features.and_then(|(own, other)| {
+            let points = [&clouds.query.points[..], &clouds.reference.points];
+            FeatureAgreement::new(points, [own, other])
+        });
+        let judge = Judge::new(&clouds, &self.config.hypotheses).with_features(features);
         let judge = match symmetries {
             Some(_) => judge.of_revolution(),
             None => judge,

@@ -149,6 +149,7 @@ impl PoseEstimator {
             encoded,
             points: frame.masked_points(mask),
             surface: OnceLock::new(),
+            features: OnceLock::new(),
             seconds: 0.0,
         };
         if self.refinement != Refinement::None {

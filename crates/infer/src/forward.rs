@@ -22,7 +22,7 @@ use unopose_pairs::{
 
 use super::{
     CloudPair, FineTrace, InferError, Judge, Matched, PairEstimate, PairTrace, StageTimes, Uniforms,
-    host_assignments, pairs::with_positions, trace::sparse_points,
+    host_assignments, pairs::with_positions, point_features::PointFeatures, trace::sparse_points,
 };
 
 /// Queries whose colours are computed together on the CPU: the backbone's weights are read once for all of them.
@@ -239,10 +239,18 @@ impl Network<'_> {
             results.truncate(starts.len());
             results.sort_by(|a, b| b.judged.total_cmp(&a.judged));
         }
+        let mut features = match config.hypotheses.feature_weight > 0.0 {
+            true => PointFeatures::of_batch(&query.dense)?.into_iter(),
+            false => Vec::new().into_iter(),
+        };
         let stages = coarse.into_iter().zip(initial).zip(fine);
-        let traces =
-            stages.map(|((coarse, coarse_pose), fine)| PairTrace { coarse, coarse_pose, fine }).collect();
-        Ok((traces, times))
+        let trace = |((coarse, coarse_pose), fine)| PairTrace {
+            coarse,
+            coarse_pose,
+            fine,
+            features: features.next(),
+        };
+        Ok((stages.map(trace).collect(), times))
     }
 
     /// Assignments of the dense points when the query, moved by its start, gets its positional encoding.

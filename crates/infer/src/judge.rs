@@ -9,14 +9,14 @@ use unopose_pairs::{
     data::{metric_pose, normalised_pose},
 };
 
-use super::{CloudPair, PairEstimate};
+use super::{CloudPair, PairEstimate, point_features::FeatureAgreement};
 
 /// Distance along the optical axis up to which a point lies on a surface, in radii of the object.
 const ON_SURFACE: f32 = 0.1;
 /// Angle between two turns of a pose that are both refined, degrees.
 const TURNS_APART_DEG: f64 = 8.0;
 
-/// Exponent of the mutual fit, and factor of the colours' weight, for a body of revolution.
+/// Exponent of the mutual fit, and factor of the weights of colours and features, for a body of revolution.
 const FIT_WEIGHT_OF_REVOLUTION: f64 = 0.3;
 const COLOR_WEIGHT_OF_REVOLUTION: f64 = 2.0;
 
@@ -26,9 +26,12 @@ pub(super) struct Judge<'a> {
     fit: MutualFit<'a>,
     /// Query and reference, where the configuration asks for them.
     views: Option<[&'a AppearanceView; 2]>,
+    /// Of the colour encoder, where the configuration asks for it.
+    features: Option<FeatureAgreement<'a>>,
     /// Exponent of [`MutualFit::score`].
     fit_weight: f64,
     color_weight: f64,
+    feature_weight: f64,
     free_space_weight: f64,
 }
 
@@ -51,7 +54,9 @@ impl<'a> Judge<'a> {
             pair: *pair,
             fit: MutualFit::new(&pair.query.points, &pair.reference.points),
             views: views.filter(|_| config.uses_appearance()).map(|(query, reference)| [query, reference]),
+            features: None,
             fit_weight: 1.0,
+            feature_weight: config.feature_weight.into(),
             color_weight: config.color_weight.into(),
             free_space_weight: config.free_space_weight.into(),
         }
@@ -63,8 +68,14 @@ impl<'a> Judge<'a> {
         Self {
             fit_weight: FIT_WEIGHT_OF_REVOLUTION,
             color_weight: COLOR_WEIGHT_OF_REVOLUTION * self.color_weight,
+            feature_weight: COLOR_WEIGHT_OF_REVOLUTION * self.feature_weight,
             ..self
         }
+    }
+
+    /// With the colour encoder's features of both clouds.
+    pub fn with_features(self, features: Option<FeatureAgreement<'a>>) -> Self {
+        Self { features, ..self }
     }
 
     /// Score of a pose between the matching frames.
@@ -118,7 +129,9 @@ impl<'a> Judge<'a> {
 
     fn combined(&self, pose: &Pose, metric: &Pose, detail: Detail) -> Judged {
         let agreement = self.agreement(metric, detail);
-        let exponent = self.color_weight * agreement.color - self.free_space_weight * agreement.in_front;
+        let features = self.features.as_ref().map_or(0.0, |features| features.of(pose));
+        let exponent = self.color_weight * agreement.color + self.feature_weight * features
+            - self.free_space_weight * agreement.in_front;
         let (fit, views) = (self.fit.score(pose).powf(self.fit_weight), exponent.exp());
         Judged { score: fit * views, views, agreement }
     }

@@ -17,6 +17,7 @@ mod forward;
 mod judge;
 mod one_pair;
 mod pairs;
+mod point_features;
 mod recently_used;
 mod reference;
 mod reference_file;

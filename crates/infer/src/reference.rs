@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use unopose_nn::model::EncodedCloud;
 use unopose_pairs::data::CloudInput;
 
-use super::{CloudPair, IcpReference};
+use super::{CloudPair, IcpReference, point_features::PointFeatures};
 
 /// A reference view, prepared and encoded once for any number of queries.
 pub struct Reference {
@@ -14,6 +14,7 @@ pub struct Reference {
     pub(super) encoded: EncodedCloud,
     pub(super) points: Vec<[f32; 3]>,
     pub(super) surface: OnceLock<Option<IcpReference>>,
+    pub(super) features: OnceLock<Option<PointFeatures>>,
     pub(super) seconds: f64,
 }
 
@@ -49,6 +50,12 @@ impl Reference {
             })
         };
         self.surface.get_or_init(surface).as_ref()
+    }
+
+    /// The colour encoder's features of the dense points, read from the device on first use; `None` when they cannot be.
+    pub(super) fn features(&self) -> Option<&PointFeatures> {
+        let read = || PointFeatures::of_batch(&self.encoded.dense).ok()?.pop();
+        self.features.get_or_init(read).as_ref()
     }
 
     /// Largest distance of the sampled points to their mean, metres.

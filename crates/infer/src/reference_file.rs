@@ -108,7 +108,15 @@ impl PoseEstimator {
         let colors = self.tensor(features, [1, n, config.color.out_dim()]);
         let encoded = self.model.encode_structure(&structure, &rows, colors);
         let encoded = self.model.with_self_attention(EncodedCloud { position, ..encoded });
-        Ok(Reference { cloud, radius, encoded, points, surface: OnceLock::new(), seconds: 0.0 })
+        Ok(Reference {
+            cloud,
+            radius,
+            encoded,
+            points,
+            surface: OnceLock::new(),
+            features: OnceLock::new(),
+            seconds: 0.0,
+        })
     }
 }
 

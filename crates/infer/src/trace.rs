@@ -9,7 +9,9 @@ use unopose_pairs::{
     data::{CloudInput, metric_pose},
 };
 
-use super::{CloudPair, Evidence, Judge, Matched, PairEstimate, confidence::Support};
+use super::{
+    CloudPair, Evidence, Judge, Matched, PairEstimate, confidence::Support, point_features::PointFeatures,
+};
 
 /// Angle from which a hypothesis counts as another answer, degrees.
 pub(super) const APART_DEG: f64 = 30.0;
@@ -23,6 +25,8 @@ pub struct PairTrace {
     pub coarse: Matched,
     /// The hypotheses and the chosen one.
     pub coarse_pose: CoarsePose,
+    /// The colour encoder's features of the query's dense points, where poses are judged by them.
+    pub(super) features: Option<PointFeatures>,
     /// Results from different starts, the best judged first; empty without a fine stage.
     pub fine: Vec<FineTrace>,
 }

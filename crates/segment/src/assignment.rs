@@ -1,5 +1,6 @@
 //! From scores to detections: each proposal goes to the object it scores best for, then the proposals of an object that
-//! overlap a better one are dropped.
+//! overlap a better one are dropped. An object that got nothing takes the best proposal that is
+//! not the best one of another object.
 
 use unopose_core::frame::BoundingBox;
 
@@ -7,6 +8,8 @@ use super::proposal::Proposal;
 
 /// Proposals of one object whose boxes overlap more than this are the same instance.
 const BOX_OVERLAP: f64 = 0.25;
+/// Masks that overlap more than this show the same object, which is only one of those looked for.
+const SAME_PLACE: f64 = 0.5;
 /// Scores below this are no detection at all.
 const MIN_SCORE: f64 = 0.01;
 
@@ -44,7 +47,36 @@ pub fn assign(proposals: &[Proposal], scores: &[Vec<f64>]) -> Vec<Assignment> {
             kept.push(candidate);
         }
     }
+    // By descending score, so the first of an object is its best.
+    let mut taken: Vec<Assignment> = Vec::new();
+    for one in &kept {
+        if taken.iter().all(|other| other.object != one.object) {
+            taken.push(*one);
+        }
+    }
+    for (object, row) in scores.iter().enumerate() {
+        if taken.iter().all(|other| other.object != object)
+            && let Some(found) = best_free(proposals, row, object, &taken)
+        {
+            taken.push(found);
+            kept.push(found);
+        }
+    }
+    kept.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.proposal.cmp(&b.proposal)));
     kept
+}
+
+/// The best proposal for an object that is not where one of `taken` is.
+fn best_free(proposals: &[Proposal], row: &[f64], object: usize, taken: &[Assignment]) -> Option<Assignment> {
+    let free = |proposal: usize| {
+        let mask = &proposals[proposal].mask;
+        taken.iter().all(|other| proposals[other.proposal].mask.iou(mask) <= SAME_PLACE)
+    };
+    let candidates = row.iter().enumerate().filter(|(_, score)| **score >= MIN_SCORE);
+    let mut candidates: Vec<(usize, f64)> = candidates.map(|(proposal, &score)| (proposal, score)).collect();
+    candidates.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    let (proposal, score) = candidates.into_iter().find(|&(proposal, _)| free(proposal))?;
+    Some(Assignment { object, proposal, score })
 }
 
 /// Indices of boxes, given best first, that overlap no kept better one by more than `overlap`.
@@ -95,6 +127,16 @@ mod tests {
             Assignment { object: 1, proposal: 2, score: 0.6 },
         ];
         assert_eq!(found, expected);
+        // The second object has nothing of its own: it takes the second best of the first, but not its best place.
+        let found = assign(&proposals, &[vec![0.9, 0.8, 0.5], vec![0.2, 0.7, 0.3]]);
+        let expected = [
+            Assignment { object: 0, proposal: 0, score: 0.9 },
+            Assignment { object: 0, proposal: 2, score: 0.5 },
+            Assignment { object: 1, proposal: 2, score: 0.3 },
+        ];
+        assert_eq!(found, expected);
+        let found = assign(&proposals, &[vec![0.9, 0.8, 0.0], vec![0.2, 0.7, 0.005]]);
+        assert_eq!(found, [Assignment { object: 0, proposal: 0, score: 0.9 }]);
         assert!((box_iou(&proposals[0].bounds, &proposals[1].bounds) - 80.0 / 120.0).abs() < 1e-12);
         assert!(assign(&proposals, &[vec![0.0, 0.001, 0.009]]).is_empty());
         let boxes = proposals.map(|p| p.bounds);

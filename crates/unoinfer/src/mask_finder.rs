@@ -14,6 +14,9 @@ pub struct MaskFinder<'a> {
     object: AnyObject,
 }
 
+/// Score of a second instance of the object: it has to be more likely one than not.
+const FURTHER: f64 = 0.5;
+
 /// The object's instances in an image.
 #[derive(Debug)]
 pub struct FoundMasks {
@@ -37,10 +40,10 @@ impl<'a> MaskFinder<'a> {
     pub fn find(&self, frame: &RgbdFrame, image: &Path) -> Result<FoundMasks, SegmentError> {
         let found = self.unoseg.segment(frame, None, &[&self.object])?;
         let least = self.unoseg.matcher.instance_score();
-        let confident = found.found.iter().take_while(|object| object.score >= least).count();
-        let fewest = usize::from(!self.unoseg.matcher.knows_absence());
         let best = found.found.first().map(|best| (best.score, least));
-        let taken = found.found.into_iter().take(confident.max(fewest));
+        let is_there = !self.unoseg.matcher.knows_absence() || best.is_some_and(|(score, least)| score >= least);
+        let further = found.found.iter().skip(1).take_while(|object| object.score >= least.max(FURTHER)).count();
+        let taken = found.found.into_iter().take(if is_there { 1 + further } else { 0 });
         let instances: Vec<_> = taken.map(|object| (object.mask, object.score)).collect();
         if instances.is_empty() {
             return Err(not_found(image, found.proposals.len(), best));

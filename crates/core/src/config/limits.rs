@@ -132,6 +132,7 @@ const LIMITS: &[(&str, Limit)] = &[
     ("model.hypotheses.kept", within(1.0, 1e6)),
     ("model.hypotheses.power", above(0.0, 100.0)),
     ("model.hypotheses.color_weight", within(0.0, 100.0)),
+    ("model.hypotheses.feature_weight", within(0.0, 100.0)),
     ("model.hypotheses.free_space_weight", within(0.0, 100.0)),
     ("model.hypotheses.starts", within(1.0, 100.0)),
     ("model.hypotheses.turns", within(0.0, 100.0)),

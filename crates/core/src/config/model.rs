@@ -129,6 +129,9 @@ pub struct HypothesisConfig {
     /// Exponent of the colours' agreement: a pose's score is multiplied by exp(weight * correlation), the correlation of the
     /// colours of the surface that both views see. 0: the shape alone decides.
     pub color_weight: f32,
+    /// Exponent of the colour encoder's agreement: a pose's score is multiplied by exp(weight * cosine), the mean cosine between
+    /// the features of points that it brings together. 0: they decide nothing.
+    pub feature_weight: f32,
     /// Exponent of the free space: a pose's score is multiplied by exp(-weight * share), the share of the surface that would
     /// lie in space that a camera sees through.
     pub free_space_weight: f32,
@@ -218,6 +221,7 @@ impl Default for HypothesisConfig {
             power: 1.5,
             score: HypothesisScore::default(),
             color_weight: 0.0,
+            feature_weight: 0.0,
             free_space_weight: 0.0,
             starts: 1,
             turns: 0,
