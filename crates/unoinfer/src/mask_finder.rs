@@ -41,8 +41,10 @@ impl<'a> MaskFinder<'a> {
         let found = self.unoseg.segment(frame, None, &[&self.object])?;
         let least = self.unoseg.matcher.instance_score();
         let best = found.found.first().map(|best| (best.score, least));
-        let is_there = !self.unoseg.matcher.knows_absence() || best.is_some_and(|(score, least)| score >= least);
-        let further = found.found.iter().skip(1).take_while(|object| object.score >= least.max(FURTHER)).count();
+        let is_there =
+            !self.unoseg.matcher.knows_absence() || best.is_some_and(|(score, least)| score >= least);
+        let further =
+            found.found.iter().skip(1).take_while(|object| object.score >= least.max(FURTHER)).count();
         let taken = found.found.into_iter().take(if is_there { 1 + further } else { 0 });
         let instances: Vec<_> = taken.map(|object| (object.mask, object.score)).collect();
         if instances.is_empty() {
