@@ -121,6 +121,22 @@ fn the_loss_falls_and_a_second_call_says_finished() {
 }
 
 #[test]
+fn pairs_that_the_print_decides_are_reported_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let validated = |name: &str, printed: &str| {
+        let set = format!("synth.printed={printed}");
+        let named = format!("name={name:?}");
+        let config = config(&["train.steps=1", "train.warmup_steps=0", &set, &named]);
+        train(&config, &options(folder.path(), name)).unwrap().validations[0].clone()
+    };
+    assert_eq!(validated("plain", "0.0").print_within_15deg, None);
+    let record = validated("printed", "1.0");
+    let share = record.print_within_15deg.unwrap();
+    assert!((0.0..=1.0).contains(&share), "{share}");
+    assert!(record.describe().contains("of those that the print decides"), "{}", record.describe());
+}
+
+#[test]
 fn an_interrupted_run_resumes_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(&["train.steps=12", "train.accumulation=2", "train.validate_every=5"]);

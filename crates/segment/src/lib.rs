@@ -32,7 +32,7 @@ pub use error::SegmentError;
 pub use generator::ProposalGenerator;
 pub use geometric::{
     GeometricMatcher, GeometricObject, MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PosedProposal,
-    PresenceReport,
+    PresenceReport, RIGHT_IOU,
 };
 pub use listed::ListedProposals;
 pub use matcher::{Comparison, Matcher};

@@ -15,7 +15,7 @@ use unopose_dataset::{
 
 use super::{
     SynthError,
-    object::SynthObject,
+    object::{LeftOpen, SynthObject},
     object_cache::ObjectCache,
     progress::{Reporter, Stage},
 };
@@ -27,7 +27,15 @@ struct ModelName {
     gso_id: String,
 }
 
-/// Meshes (PLY in mm with their texture), `models_info.json` and the models list.
+/// An object whose pose only its print tells.
+#[derive(serde::Serialize)]
+struct PrintDecides {
+    obj_id: u32,
+    kind: LeftOpen,
+}
+
+/// Meshes (PLY in mm with their texture), `models_info.json` and the models list; for a set with packages also
+/// `print_decides.json`, the objects whose pose only the print tells.
 pub(super) fn write_models(
     config: &SynthConfig,
     out: &Path,
@@ -45,7 +53,7 @@ pub(super) fn write_models(
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         reporter.report(Stage::Objects, done, total);
     };
-    let mut names = Vec::new();
+    let (mut names, mut prints) = (Vec::new(), Vec::new());
     let mut infos = BTreeMap::new();
     let ids: Vec<u32> = (1..=config.objects as u32).collect();
     for chunk in ids.chunks(config.objects_per_shard) {
@@ -63,7 +71,13 @@ pub(super) fn write_models(
         for (object, info) in objects.iter().zip(written) {
             infos.insert(object.obj_id, info?);
             names.push(ModelName { obj_id: object.obj_id, gso_id: object.name.clone() });
+            if object.left_open != LeftOpen::None {
+                prints.push(PrintDecides { obj_id: object.obj_id, kind: object.left_open });
+            }
         }
+    }
+    if config.printed > 0.0 {
+        write_json(&folder.join("print_decides.json"), &prints, true)?;
     }
     write_models_info(&info_file, &infos)?;
     Ok(write_json(&names_file, &names, true)?)

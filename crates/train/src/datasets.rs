@@ -16,7 +16,7 @@ use unopose_dataset::{
     formats::{megapose::ShardDataset, models::read_models_info},
     mesh,
 };
-use unopose_eval::eval::EvalObject;
+use unopose_eval::eval::{EvalObject, print_decided_objects};
 use unopose_pairs::data::PairSampler;
 use unopose_synth::{Stage, SynthError};
 
@@ -114,11 +114,15 @@ impl Datasets {
         Ok(PairSampler::new(self.validation.clone(), &config.data, model, VALIDATION_SEED)?)
     }
 
-    /// The validation pairs, with the meshes of their objects where the set has them.
+    /// The validation pairs, with the meshes of their objects where the set has them, and with the objects whose pose only the
+    /// print tells.
     pub fn validation(&self, config: &Config) -> Result<Validation, TrainError> {
         let sampler = self.validation_sampler(config, &config.model)?;
         let source = self.validation.clone();
-        Validation::new(sampler, source, config.train.validation_pairs, |ids| self.objects(ids))
+        let prints = print_decided_objects(&self.validation_folder.join("models"))?;
+        let validation =
+            Validation::new(sampler, source, config.train.validation_pairs, |ids| self.objects(ids))?;
+        Ok(validation.with_print_decided(prints))
     }
 
     /// Meshes and sizes from `models/` beside the shards; empty when there are none.

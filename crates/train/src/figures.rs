@@ -62,6 +62,10 @@ pub fn write_training_curves(path: &Path, events: &[Event]) -> Result<(), TrainE
                 curve("within 5 deg and 5 cm", validations(|r| r.within_5deg_5cm)),
                 curve("within 15 deg", validations(|r| r.within_15deg)),
                 curve("within 15 deg, coarse stage", validations(|r| r.coarse_within_15deg)),
+                curve(
+                    "within 15 deg, print decides",
+                    validations(|r| r.print_within_15deg.unwrap_or(f64::NAN)),
+                ),
                 curve("average recall", validations(|r| r.average_recall.unwrap_or(f64::NAN))),
             ],
             range: Some((0.0, 1.0)),

@@ -63,6 +63,10 @@ pub struct ValidationRecord {
     pub average_recall: Option<f64>,
     /// Share of pairs whose coarse pose, before the fine stage, is within 15 degrees.
     pub coarse_within_15deg: f64,
+    /// Share of the pairs whose pose only the print tells that are within 15 degrees; `None` for a set that has none or does not
+    /// say which.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub print_within_15deg: Option<f64>,
     /// Of a distilled encoder instead of poses: area under the ROC curve of the features' cosines, same points of a pair's views
     /// against others, mean over the pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -93,8 +97,12 @@ impl ValidationRecord {
             return format!("loss {:.3}, area under the ROC curve {area:.3}", self.loss);
         }
         let recall = self.average_recall.map(|ar| format!(", AR {ar:.3}")).unwrap_or_default();
+        let prints = self
+            .print_within_15deg
+            .map(|share| format!(" ({:.0} % of those that the print decides)", 100.0 * share))
+            .unwrap_or_default();
         format!(
-            "loss {:.3}, median {:.1} deg and {:.1} cm, {:.0} % within 5 deg/5 cm, {:.0} % within 15 deg{recall}",
+            "loss {:.3}, median {:.1} deg and {:.1} cm, {:.0} % within 5 deg/5 cm, {:.0} % within 15 deg{prints}{recall}",
             self.loss,
             self.median_rotation_deg,
             100.0 * self.median_translation_m,

@@ -35,6 +35,10 @@ pub struct Validation {
     /// Meshes by object; with all of them there is an average recall.
     objects: BTreeMap<u32, EvalObject>,
     truths: Vec<Truth>,
+    /// Object of each pair.
+    obj_ids: Vec<u32>,
+    /// Objects of which only the print tells how they are turned.
+    print_decided: BTreeSet<u32>,
 }
 
 /// What is known about a validation pair.
@@ -96,7 +100,13 @@ impl Validation {
         let truths: Vec<(u32, Truth)> =
             (0..pairs as u64).into_par_iter().map(truth).collect::<Result<_, _>>()?;
         let objects = objects(truths.iter().map(|(obj_id, _)| *obj_id).collect())?;
-        Ok(Self { sampler, source, objects, truths: truths.into_iter().map(|(_, truth)| truth).collect() })
+        let (obj_ids, truths): (Vec<u32>, Vec<Truth>) = truths.into_iter().unzip();
+        Ok(Self { sampler, source, objects, truths, obj_ids, print_decided: BTreeSet::new() })
+    }
+
+    /// Reports the pairs of these objects, whose pose only the print tells, apart.
+    pub fn with_print_decided(self, print_decided: BTreeSet<u32>) -> Self {
+        Self { print_decided, ..self }
     }
 
     /// Losses and poses of `model` (without autodiff) on all pairs; `None` when interrupted before the last.
@@ -142,6 +152,11 @@ impl Validation {
         let recalls: Vec<Option<f64>> = recalls.into_iter().collect::<Result<_, _>>()?;
         let recalls: Vec<f64> = recalls.into_iter().collect::<Option<_>>().unwrap_or_default();
         let mut record = summary(&final_errors, &coarse_errors, loss);
+        let by_print =
+            final_errors.iter().zip(&self.obj_ids).filter(|(_, id)| self.print_decided.contains(id));
+        let by_print: Vec<bool> = by_print.map(|(error, _)| error.rotation_deg <= 15.0).collect();
+        let right = by_print.iter().filter(|right| **right).count();
+        record.print_within_15deg = (!by_print.is_empty()).then(|| right as f64 / by_print.len() as f64);
         record.average_recall =
             (!recalls.is_empty()).then(|| recalls.iter().sum::<f64>() / recalls.len() as f64);
         Ok(Some(record))

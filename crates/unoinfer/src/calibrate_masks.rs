@@ -12,7 +12,7 @@ use unopose_dataset::{
 use unopose_eval::report::{Curve, Panel, write_curves};
 use unopose_infer::PoseEstimator;
 use unopose_nn::checkpoint;
-use unopose_segment::{GeometricMatcher, MatchScore, PresenceReport, observe_matches};
+use unopose_segment::{GeometricMatcher, MatchScore, PresenceReport, RIGHT_IOU, observe_matches};
 
 use super::{options::SplitOptions, progress::ProgressDisplay, proposals::ProposalOptions};
 
@@ -78,7 +78,7 @@ pub fn run(arguments: &CalibrateMasksArguments) -> anyhow::Result<()> {
             score.with_context(|| format!("{} has no score of matches", arguments.checkpoint.display()))?;
         return write_report(&score.presence(&observed), &score, &arguments.out);
     }
-    let right = observed.iter().filter(|o| o.iou > 0.5).count();
+    let right = observed.iter().filter(|o| o.iou >= RIGHT_IOU).count();
     let score = MatchScore::fit(&observed, &dataset.name()).with_context(|| {
         format!("{} proposals, {right} of them right: expected at least 20 of either kind", observed.len())
     })?;

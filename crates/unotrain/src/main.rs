@@ -209,7 +209,9 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>
 }
 
 fn pose_table(records: &[&ValidationRecord]) -> Table {
-    let mut table = Table::new(["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "AR"]);
+    let columns =
+        ["validation", "loss", "rotation", "translation", "5deg/5cm", "15deg", "15deg by print", "AR"];
+    let mut table = Table::new(columns);
     for record in records {
         table.push([
             format!("step {}", record.step),
@@ -218,6 +220,7 @@ fn pose_table(records: &[&ValidationRecord]) -> Table {
             format!("{:.1} cm", 100.0 * record.median_translation_m),
             format!("{:.1} %", 100.0 * record.within_5deg_5cm),
             format!("{:.1} %", 100.0 * record.within_15deg),
+            record.print_within_15deg.map_or("-".into(), |share| format!("{:.1} %", 100.0 * share)),
             record.average_recall.map_or("-".into(), |ar| format!("{ar:.3}")),
         ]);
     }

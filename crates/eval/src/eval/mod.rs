@@ -40,7 +40,7 @@ pub use input_report::InputReport;
 pub use object::EvalObject;
 pub use outcome::{PoseErrors, TargetOutcome};
 pub use pose_detection::PoseAveragePrecision;
-pub use prints::PrintScore;
+pub use prints::{PrintScore, print_decided_objects};
 pub use reliability::{Reliability, ReliabilityBin};
 pub use scores::{AverageRecall, BinScore, Scores};
 pub use scoring::{Evaluation, ScoreFiles, score_files};

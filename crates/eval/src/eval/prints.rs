@@ -1,6 +1,9 @@
 //! Targets whose pose only the print decides, where a dataset says which.
 
-use std::collections::BTreeMap;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
 use serde::{Deserialize, Serialize};
 use unopose_dataset::formats::{BopDataset, FormatError, files::read_json};
@@ -11,7 +14,7 @@ use super::{
     scores::{AverageRecall, average_recall},
 };
 
-/// The list, beside the dataset's models.
+/// The list, beside the dataset's models, or in the folder of a training set's models.
 const FILE: &str = "print_decides.json";
 
 /// Scores of the targets of one kind.
@@ -33,6 +36,23 @@ struct Entry {
     obj_id: u32,
     /// What the shape leaves open: `axis` (a turn about it), `flip` (half turns), `none`.
     kind: String,
+}
+
+/// An object of a set of training shards whose pose only its print tells.
+#[derive(Deserialize)]
+struct ObjectEntry {
+    obj_id: u32,
+}
+
+/// The objects of a set of training shards whose pose only their print tells, from the list in its folder `models`; none for a
+/// set without the list.
+pub fn print_decided_objects(models: &Path) -> Result<BTreeSet<u32>, FormatError> {
+    let path = models.join(FILE);
+    if !path.is_file() {
+        return Ok(BTreeSet::new());
+    }
+    let entries: Vec<ObjectEntry> = read_json(&path)?;
+    Ok(entries.into_iter().map(|entry| entry.obj_id).collect())
 }
 
 /// Scores by kind; empty for a dataset without the list.

@@ -149,13 +149,13 @@ impl MatchScore {
         let rows: Vec<(Vec<f64>, bool)> =
             observed.iter().map(|o| (values(&o.evidence), o.iou >= RIGHT_IOU)).collect();
         let (intercept, weights) = logistic_regression(&rows)?;
-        let best = |present: bool| best_of_searches(observed, present);
+        let searches = |present: bool| searches(observed, present).len();
         let mut score = Self {
             intercept,
             weights: MatchFeature::all().zip(weights).filter(|(_, weight)| *weight > 0.0).collect(),
             threshold: 0.0,
             proposals: observed.len(),
-            searches: [best(true).len(), best(false).len()],
+            searches: [searches(true), searches(false)],
             data: data.to_owned(),
         };
         let mut found = score.best_probabilities(observed, true);
@@ -198,8 +198,7 @@ impl MatchScore {
 
     /// Highest probability of each search, and whether its proposal is right.
     fn best_probabilities(&self, observed: &[ObservedMatch], present: bool) -> Vec<(f64, bool)> {
-        let best = best_of_searches(observed, present).into_values();
-        let highest = best.filter_map(|proposals| {
+        let highest = searches(observed, present).into_values().filter_map(|proposals| {
             let judged = proposals.into_iter().map(|o| (self.probability(&o.evidence), o.iou >= RIGHT_IOU));
             judged.max_by(|a, b| a.0.total_cmp(&b.0))
         });
@@ -227,7 +226,7 @@ impl MatchScore {
 }
 
 /// The competing proposals of each search for an object that is there, or for one that is not.
-fn best_of_searches(observed: &[ObservedMatch], present: bool) -> BTreeMap<usize, Vec<&ObservedMatch>> {
+fn searches(observed: &[ObservedMatch], present: bool) -> BTreeMap<usize, Vec<&ObservedMatch>> {
     let mut searches: BTreeMap<usize, Vec<&ObservedMatch>> = BTreeMap::new();
     for one in observed.iter().filter(|o| o.present == present) {
         searches.entry(one.search).or_default().push(one);

@@ -9,7 +9,7 @@ mod histogram;
 mod match_score;
 mod recut;
 
-pub use match_score::{MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PresenceReport};
+pub use match_score::{MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PresenceReport, RIGHT_IOU};
 
 use std::path::Path;
 

@@ -7,7 +7,7 @@ use parry3d::shape::TriMesh;
 use unopose_core::{config::SynthConfig, frame::Mask};
 use unopose_dataset::{formats::megapose::ShardDataset, render::depth::render_depth};
 
-use super::{super::*, small};
+use super::{super::*, LeftOpen, ObjectLibrary, small};
 
 /// Every file below a folder.
 fn contents(root: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -214,6 +214,21 @@ fn a_bop_set_has_targets_with_references_from_other_scenes() {
     let found = findings(folder.path());
     let expected = "scene_gt_info.json: 1 annotated images have no entry";
     assert!(found.len() == 1 && found[0].contains(expected), "{found:?}");
+}
+
+#[test]
+fn shards_say_which_objects_only_the_print_tells_apart() {
+    let config = SynthConfig { printed: 0.5, objects: 6, images: 6, ..small() };
+    let folder = tempfile::tempdir().unwrap();
+    generate(&config, folder.path(), &|_| {}).unwrap();
+    let library = ObjectLibrary::new(&config).unwrap();
+    let left_open = |id: &u32| library.build(*id).left_open != LeftOpen::None;
+    let expected: Vec<u64> = (1..=6).filter(left_open).map(u64::from).collect();
+    let text = std::fs::read_to_string(folder.path().join("models/print_decides.json")).unwrap();
+    let listed: Vec<serde_json::Value> = serde_json::from_str(&text).unwrap();
+    let ids: Vec<u64> = listed.iter().map(|entry| entry["obj_id"].as_u64().unwrap()).collect();
+    assert_eq!(ids, expected);
+    assert!((1..6).contains(&ids.len()), "{ids:?}");
 }
 
 fn findings(folder: &Path) -> Vec<String> {
