@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, Tensor, TensorData};
 use unopose_core::config::{ColorConfig, Config, ModelConfig, VitConfig};
 use unopose_nn::{
-    checkpoint::{Backbone, Naming, Resampling, load_backbone},
+    checkpoint::{
+        Backbone, Meta, Naming, Resampling, checksum, load, load_backbone, load_with_backbone, save,
+        strip_backbone,
+    },
     model::UnoPose,
 };
 use unopose_tests::backbone_files::{Sizes, Tensors, hugging_face, meta, safetensors, timm};
@@ -205,4 +208,39 @@ fn sizes_of_the_published_widths_are_named() {
             unopose_nn::checkpoint::BackboneSizes { embed_dim, depth, patch_size: 14, ..sizes }.to_string();
         assert!(text.starts_with(name), "{text}");
     }
+}
+
+#[test]
+fn a_checkpoint_without_its_backbone_is_completed_by_the_same_one_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let config = Config { model: config(0, 20), ..Config::embedded("smoke", &[]).unwrap() };
+    let published = weights(0);
+    safetensors(&at("backbone.safetensors"), &meta(published.clone()));
+    let model = load_backbone(&at("backbone.safetensors"), &config.model, network(&config.model)).unwrap();
+    save(&at("whole.safetensors"), &model, &config, &Meta { step: 7, ..Meta::default() }).unwrap();
+    let device = Device::flex();
+    strip_backbone(&at("whole.safetensors"), &at("small.safetensors"), &device).unwrap();
+    let bytes = |name: &str| std::fs::metadata(at(name)).unwrap().len();
+    assert!(4 * (bytes("whole.safetensors") - bytes("small.safetensors")) > bytes("whole.safetensors"));
+
+    let message = load(&at("small.safetensors"), &device).err().unwrap().to_string();
+    assert!(message.contains("small.safetensors") && message.contains("--backbone"), "{message}");
+    // Another publisher's naming of the same weights.
+    safetensors(&at("hugging.safetensors"), &hugging_face(published.clone()));
+    for name in ["backbone.safetensors", "hugging.safetensors"] {
+        let (completed, _, read) = load_with_backbone(&at("small.safetensors"), &at(name), &device).unwrap();
+        assert_eq!((checksum(&completed).unwrap(), read.step), (checksum(&model).unwrap(), 7), "{name}");
+    }
+    // The same weights with a tenth of one layer changed, and a checkpoint that has its own.
+    let mut other = published;
+    other.get_mut("blocks.0.mlp.fc1.weight").unwrap().1.iter_mut().step_by(10).for_each(|w| *w = -*w);
+    safetensors(&at("other.safetensors"), &meta(other));
+    let refused = |checkpoint: &str, backbone: &str| {
+        load_with_backbone(&at(checkpoint), &at(backbone), &device).err().unwrap().to_string()
+    };
+    let message = refused("small.safetensors", "other.safetensors");
+    assert!(message.contains("other.safetensors gives other features"), "{message}");
+    let message = refused("whole.safetensors", "backbone.safetensors");
+    assert!(message.contains("backbone_features is absent"), "{message}");
 }

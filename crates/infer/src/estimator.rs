@@ -65,6 +65,19 @@ impl PoseEstimator {
         Ok(Self { calibration, metadata: meta.extra, ..estimator })
     }
 
+    /// The network of a checkpoint that was written without its backbone, completed by the DINOv2 weights in `backbone`.
+    pub fn load_with_backbone(
+        path: &Path,
+        backbone: &Path,
+        device: DeviceChoice,
+    ) -> Result<Self, InferError> {
+        let (device, choice) = device.open()?;
+        let (model, config, meta) = checkpoint::load_with_backbone(path, backbone, &device)?;
+        let calibration = Calibration::from_metadata(&meta.extra, path)?;
+        let estimator = Self::new(model, config.model, device, choice, path.display().to_string());
+        Ok(Self { calibration, metadata: meta.extra, ..estimator })
+    }
+
     /// The network that is compiled in; an error in builds without one.
     pub fn embedded(device: DeviceChoice) -> Result<Self, InferError> {
         let bytes = unopose_checkpoints::GEO.ok_or(InferError::NoCheckpoint { looked: Vec::new() })?;

@@ -37,6 +37,8 @@ pub struct ExportArguments {
 enum Form {
     /// Names and shapes of the official PyTorch release
     Official,
+    /// The checkpoint without its vision transformer, to be completed by --backbone
+    WithoutBackbone,
 }
 
 /// The networks' parts, whose numbers are counted apart.
@@ -116,10 +118,16 @@ fn describe(backbone: &Backbone) -> String {
 }
 
 pub fn export(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let Form::Official = arguments.to;
     let (device, _) = DeviceChoice::Auto.open()?;
-    let (model, config, _) = checkpoint::load(&arguments.input, &device)?;
-    checkpoint::export_official(&arguments.output, &model, &config.model)?;
+    match arguments.to {
+        Form::Official => {
+            let (model, config, _) = checkpoint::load(&arguments.input, &device)?;
+            checkpoint::export_official(&arguments.output, &model, &config.model)?;
+        }
+        Form::WithoutBackbone => {
+            checkpoint::strip_backbone(&arguments.input, &arguments.output, &device)?;
+        }
+    }
     say!("{}", arguments.output.display());
     Ok(())
 }

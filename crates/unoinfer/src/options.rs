@@ -70,6 +70,10 @@ pub struct EstimatorOptions {
     /// ones]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
+    /// DINOv2 weights for a checkpoint that was written without its backbone: safetensors or PyTorch, in the naming of Meta,
+    /// timm or Hugging Face
+    #[arg(long, value_name = "FILE", requires = "checkpoint")]
+    backbone: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceOption,
     /// Number type of the network's products: f32, or bf16 (for GPUs)
@@ -124,9 +128,10 @@ impl EstimatorOptions {
     }
 
     pub fn estimator(&self) -> anyhow::Result<PoseEstimator> {
-        let estimator = match &self.checkpoint {
-            Some(path) => PoseEstimator::load(path, self.device())?,
-            None => PoseEstimator::load_default(self.device())?,
+        let estimator = match (&self.checkpoint, &self.backbone) {
+            (Some(path), Some(backbone)) => PoseEstimator::load_with_backbone(path, backbone, self.device())?,
+            (Some(path), None) => PoseEstimator::load(path, self.device())?,
+            (None, _) => PoseEstimator::load_default(self.device())?,
         };
         let hypotheses = self.hypotheses.apply(estimator.config())?;
         Ok(estimator

@@ -45,6 +45,15 @@ pub enum CheckpointError {
     #[error("{} is a vision transformer, but model.color.kind is not vit", path.display())]
     NoTransformer { path: PathBuf },
     #[error(
+        "{} was written without its backbone; name the DINOv2 weights that it was trained with by --backbone",
+        path.display()
+    )]
+    NeedsBackbone { path: PathBuf },
+    #[error(
+        "{} gives other features than the backbone that {} was trained with", backbone.display(), path.display()
+    )]
+    OtherBackbone { path: PathBuf, backbone: PathBuf },
+    #[error(
         "{}: nothing tells the number of heads of a transformer {width} wide (DINOv2 has width / 64); put the official \
          config.json beside the file",
         path.display()

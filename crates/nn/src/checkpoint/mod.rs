@@ -15,6 +15,7 @@ mod named;
 mod official;
 mod shapes;
 mod stored;
+mod without_backbone;
 
 pub use backbone::{Backbone, BackboneSizes, Naming, Resampling, load_backbone, load_transformer};
 pub use error::{CheckpointError, Mismatch};
@@ -23,6 +24,7 @@ pub use named::{NamedTensors, contents};
 pub use official::{OfficialSizes, OfficialState, export_official, load_official};
 pub use shapes::state_shapes;
 pub use stored::Layout;
+pub use without_backbone::{load_with_backbone, strip_backbone};
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -98,6 +100,9 @@ fn from_file(
     let config =
         config_of(&file, path)?.ok_or_else(|| metadata_error(path, "config", "absent", "a configuration"))?;
     let meta = meta_of(&file, path)?;
+    if file.metadata.contains_key(without_backbone::KEY) {
+        return Err(CheckpointError::NeedsBackbone { path: path.to_owned() });
+    }
     let model = fill(UnoPose::new(&config.model, config.seed, device), file, path, Some(&config.model))?;
     Ok((model, config, meta))
 }
