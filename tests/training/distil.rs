@@ -9,7 +9,7 @@ use unopose_nn::{
     model::UnoPose,
 };
 use unopose_tests::backbone_files::{Sizes, meta, safetensors, weights};
-use unopose_train::{StopReason, TrainOptions, distil, train};
+use unopose_train::{Event, Journal, StopReason, TrainOptions, distil, train};
 
 use super::run::{bits, losses, options};
 
@@ -76,6 +76,25 @@ fn features_come_near_the_teachers_and_a_resumed_run_is_the_same() {
     let poses = self::config(&["train.steps=2", "train.warmup_steps=1", &with_weights]);
     let outcome = train(&poses, &options(folder.path(), "poses")).unwrap();
     assert_eq!(outcome.stop_reason, StopReason::Finished);
+    // Features that are kept as they were, and features that are not.
+    let last_term = |name: &str, weight: &str| {
+        let set = format!("loss.kept_structure_weight={weight}");
+        let config = self::config(&["train.steps=12", "train.warmup_steps=1", &with_weights, &set]);
+        let run = options(folder.path(), name);
+        train(&config, &run).unwrap();
+        let events = Journal::read(&run.out.join("metrics.jsonl")).unwrap();
+        let steps: Vec<f64> = events
+            .iter()
+            .filter_map(|event| match event {
+                Event::Step(record) => Some(record.terms["kept_structure"]),
+                Event::Validation(_) => None,
+            })
+            .collect();
+        assert!(steps[0] < 1e-10, "{}", steps[0]);
+        steps[11]
+    };
+    let (loose, kept) = (last_term("loose", "1e-9"), last_term("kept", "1e4"));
+    assert!(kept < 0.5 * loose, "kept {kept}, loose {loose}");
     // With another network's weights for everything else.
     let conv = Config::embedded("smoke", &[]).unwrap();
     let other = folder.path().join("other.safetensors");
@@ -113,6 +132,9 @@ fn what_cannot_be_distilled_is_named() {
             distil(&config(&overrides), &options(folder.path(), "run"), &file).unwrap_err().to_string();
         assert!(error.contains(part), "{error}");
     }
+    let keeping = Config::embedded("smoke", &["loss.kept_structure_weight=1.0".to_owned()]).unwrap();
+    let error = train(&keeping, &options(folder.path(), "keeping")).unwrap_err().to_string();
+    assert!(error.contains("loss.kept_structure_weight is 1, expected 0 without"), "{error}");
     let absent = folder.path().join("absent.pth");
     let error = distil(&config(&[]), &options(folder.path(), "run"), &absent).unwrap_err().to_string();
     assert!(error.contains("absent.pth"), "{error}");

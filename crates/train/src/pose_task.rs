@@ -2,8 +2,11 @@
 
 use std::path::Path;
 
-use unopose_core::config::Config;
-use unopose_nn::model::UnoPose;
+use unopose_core::config::{ColorConfig, Config, ConfigError, HybridConfig};
+use unopose_nn::{
+    checkpoint,
+    model::{FeatureExtraction, UnoPose},
+};
 use unopose_pairs::data::{PairSampler, TrainSample};
 
 use super::{
@@ -12,7 +15,7 @@ use super::{
     figures, initial_weights,
     journal::ValidationRecord,
     options::TrainOptions,
-    replicas::{BatchGradients, forward_backward},
+    replicas::{BatchGradients, forward_backward_keeping},
     task::Task,
     validation::Validation,
 };
@@ -23,17 +26,20 @@ pub struct PoseTask<'a> {
     options: &'a TrainOptions,
     datasets: Datasets,
     validation: Validation,
+    /// The distilled encoder, whose structure the features keep.
+    kept: Option<FeatureExtraction>,
 }
 
 impl<'a> PoseTask<'a> {
-    /// Opens the validation pairs.
+    /// Opens the validation pairs, and the distilled encoder where its structure is kept.
     pub fn new(
         config: &'a Config,
         options: &'a TrainOptions,
         datasets: Datasets,
     ) -> Result<Self, TrainError> {
+        let kept = kept_encoder(config, options)?;
         let validation = datasets.validation(config)?;
-        Ok(Self { config, options, datasets, validation })
+        Ok(Self { config, options, datasets, validation, kept })
     }
 }
 
@@ -53,7 +59,8 @@ impl Task for PoseTask<'_> {
     }
 
     fn gradients(&self, model: &UnoPose, samples: &[TrainSample]) -> BatchGradients {
-        forward_backward(model, self.config, samples, &self.options.device.clone().autodiff())
+        let device = self.options.device.clone().autodiff();
+        forward_backward_keeping(model, self.config, samples, &device, self.kept.as_ref())
     }
 
     fn validate(&self, model: &UnoPose) -> Result<Option<ValidationRecord>, TrainError> {
@@ -65,4 +72,20 @@ impl Task for PoseTask<'_> {
         let path = out.join("poses.png");
         figures::write_pose_sheet(&path, model, self.config, &self.validation, &self.options.device)
     }
+}
+
+/// The encoder of `model.color.weights`, when `loss.kept_structure_weight` asks for it.
+fn kept_encoder(config: &Config, options: &TrainOptions) -> Result<Option<FeatureExtraction>, TrainError> {
+    if config.loss.kept_structure_weight == 0.0 {
+        return Ok(None);
+    }
+    let ColorConfig::Hybrid(HybridConfig { weights: Some(path), .. }) = &config.model.color else {
+        let (field, value) = ("loss.kept_structure_weight", config.loss.kept_structure_weight);
+        let expected = "0 without a distilled encoder in model.color.weights";
+        let (field, value, expected) = (field.into(), value.to_string(), expected.into());
+        return Err(TrainError::Config(ConfigError::Range { field, value, expected }));
+    };
+    let random = UnoPose::new(&config.model, config.seed, &options.device);
+    let model = checkpoint::load_encoder(path, &config.model, random)?;
+    Ok(Some(model.feature_extraction))
 }

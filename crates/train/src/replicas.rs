@@ -17,8 +17,8 @@ use burn::{
 use unopose_core::config::Config;
 use unopose_nn::{
     device::is_host,
-    loss::{Losses, pair_losses},
-    model::{PairTensors, UnoPose},
+    loss::{Losses, pair_losses, structure},
+    model::{FeatureExtraction, PairTensors, UnoPose},
 };
 use unopose_pairs::data::TrainSample;
 
@@ -41,6 +41,20 @@ pub fn forward_backward(
     samples: &[TrainSample],
     device: &Device,
 ) -> BatchGradients {
+    forward_backward_keeping(model, config, samples, device, None)
+}
+
+/// Points of a cloud whose features are kept like those of the distilled encoder.
+const KEPT_POINTS: usize = 256;
+
+/// [`forward_backward`] with the distilled encoder, without autodiff, whose structure the features keep.
+pub(super) fn forward_backward_keeping(
+    model: &UnoPose,
+    config: &Config,
+    samples: &[TrainSample],
+    device: &Device,
+    kept: Option<&FeatureExtraction>,
+) -> BatchGradients {
     let size = share_size(samples.len(), device);
     let positions = PairTensors::groups_of(samples, &config.model, device).map(|g| model.position(&g));
     let parts = samples.chunks(size).enumerate().map(|(index, part)| {
@@ -50,6 +64,7 @@ pub fn forward_backward(
         };
         Share {
             model: model.clone().fork(device),
+            kept,
             samples: part,
             positions: positions.each_ref().map(leaf),
             share: part.len() as f64 / samples.len() as f64,
@@ -109,6 +124,7 @@ pub(super) fn join_losses(losses: &mut Vec<(String, Vec<f32>)>, share: Vec<(Stri
 /// Some of a batch's pairs with a network of their own.
 struct Share<'a> {
     model: UnoPose,
+    kept: Option<&'a FeatureExtraction>,
     samples: &'a [TrainSample],
     /// Leaves of the tape.
     positions: [Option<Tensor<3>>; 2],
@@ -130,6 +146,12 @@ impl Share<'_> {
         let computing = self.model.clone().in_precision(config.train.precision);
         let outputs = computing.forward_matching(&batch, self.positions.clone());
         let mut losses = pair_losses(&config.loss, &outputs, &batch);
+        if let Some(kept) = self.kept {
+            let structure = kept_structure(kept, &outputs.colors, &batch);
+            losses.total =
+                losses.total + structure.clone().mean().mul_scalar(config.loss.kept_structure_weight);
+            losses.terms.push(("kept_structure".into(), structure));
+        }
         losses.total = losses.total * self.share;
         let values = on_host(&losses);
         let mut gradients = (losses.total / config.train.accumulation as f64).backward();
@@ -139,6 +161,14 @@ impl Share<'_> {
             gradients: GradientsParams::from_grads(gradients, &self.model),
         }
     }
+}
+
+/// How far the structure of the features is from the distilled encoder's, per pair `[B]`.
+fn kept_structure(kept: &FeatureExtraction, colors: &[Tensor<3>; 2], batch: &PairTensors) -> Tensor<1> {
+    let own = colors.each_ref().map(|colors| colors.clone().narrow(1, 0, KEPT_POINTS.min(colors.dims()[1])));
+    let theirs = [&batch.query.view, &batch.reference.view]
+        .map(|view| kept.forward(view.images.clone(), &view.choose.first(KEPT_POINTS)).autodiff());
+    structure(&own, &theirs)
 }
 
 /// The total and the terms, in one read from the device.

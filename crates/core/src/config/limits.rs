@@ -141,6 +141,7 @@ const LIMITS: &[(&str, Limit)] = &[
     ("loss.saliency_weight", within(0.0, 1e6)),
     ("loss.overlap_weight", within(0.0, 1e6)),
     ("loss.correspondence_weight", within(0.0, 1e6)),
+    ("loss.kept_structure_weight", within(0.0, 1e6)),
     ("loss.clamp", above(0.0, 1e9)),
     ("distil.teacher_image_size", within(8.0, 2048.0)),
     ("distil.teacher_blocks", within(1.0, 128.0)),

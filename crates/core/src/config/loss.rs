@@ -20,7 +20,10 @@ pub struct LossConfig {
     pub overlap_weight: f32,
     /// Weight of the soft correspondence loss (CoFiNet), the paper's alternative to the overlap predictor. 0: none.
     pub correspondence_weight: f32,
-    /// Largest loss of one pair; larger losses are clamped.
+    /// Weight of the mean squared difference between the cosines of a pair's colour features now and as the encoder in
+    /// `model.color.weights` gives them, so that training does not forget what was distilled. 0: none.
+    pub kept_structure_weight: f32,
+    /// Largest loss of one pair, without what is kept; larger losses are clamped.
     pub clamp: f32,
 }
 
@@ -33,6 +36,7 @@ impl Default for LossConfig {
             saliency_weight: 1.0,
             overlap_weight: 1.0,
             correspondence_weight: 0.0,
+            kept_structure_weight: 0.0,
             clamp: 100.0,
         }
     }

@@ -32,7 +32,7 @@ pub fn distil_losses(
 ) -> Losses {
     let terms = [
         ("feature", config.feature_weight, feature(pairs)),
-        ("structure", config.structure_weight, structure(pairs)),
+        ("structure", config.structure_weight, structure(&pairs.features, &pairs.teacher)),
         ("contrast", config.contrast_weight, contrast(config, pairs, distances, match_distance)),
     ];
     let total = terms.iter().map(|(_, weight, value)| value.clone().mul_scalar(*weight));
@@ -50,14 +50,14 @@ fn feature(pairs: &FeaturePair) -> Tensor<1> {
     (query + reference) / 2.0
 }
 
-/// Mean squared difference between the cosines of all points of both views of a pair: `[B]`. The features are taken from the
-/// batch's mean, which says nothing about a point.
-fn structure(pairs: &FeaturePair) -> Tensor<1> {
+/// Mean squared difference between the cosines of all points of both views of a pair, `features` against `others`
+/// (`[B, N, C]` each, of any channels): `[B]`. The batch's mean, which says nothing about a point, is subtracted first.
+pub fn structure(features: &[Tensor<3>; 2], others: &[Tensor<3>; 2]) -> Tensor<1> {
     let cosines = |views: &[Tensor<3>; 2]| {
         let all = unit(centred(Tensor::cat(views.to_vec(), 1)));
         all.clone().matmul(all.swap_dims(1, 2))
     };
-    per_pair((cosines(&pairs.features) - cosines(&pairs.teacher)).square())
+    per_pair((cosines(features) - cosines(others)).square())
 }
 
 /// InfoNCE in both directions: the nearest point of the other view under the true pose, where it is near enough, against

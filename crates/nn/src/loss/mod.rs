@@ -5,7 +5,7 @@ mod distil;
 mod labels;
 mod terms;
 
-pub use distil::{FeaturePair, distil_losses};
+pub use distil::{FeaturePair, distil_losses, structure};
 pub use labels::{MatchLabels, pairwise_distance};
 pub use terms::{info_nce, soft_correspondence, weighted_bce};
 

@@ -65,6 +65,8 @@ pub struct UnoPose {
 /// Block outputs of both stages (the fine list is empty without a fine stage).
 #[derive(Clone, Debug)]
 pub struct MatchingOutputs {
+    /// Colour features of the dense points of query and reference, `[B, N, C_color]`.
+    pub colors: [Tensor<3>; 2],
     /// Compared blocks of the coarse stage.
     pub coarse: Vec<BlockOutput>,
     /// Compared blocks of the fine stage.
@@ -191,6 +193,7 @@ impl UnoPose {
     /// Every block of both stages on encoded clouds.
     pub fn forward_encoded(&self, query: &EncodedCloud, reference: &EncodedCloud) -> MatchingOutputs {
         MatchingOutputs {
+            colors: [query.dense.clone(), reference.dense.clone()],
             coarse: self.coarse(query, reference, Supervision::AllBlocks),
             fine: self.fine(query, reference, Supervision::AllBlocks),
         }
