@@ -25,7 +25,7 @@ const TILE: u32 = 200;
 /// Pairs on the sheet, the first of the validation.
 const SHOWN_PAIRS: usize = 8;
 
-/// Losses, shares of good poses, rotation error and learning rate over steps.
+/// Losses, shares of good poses and rotation error (or the features' ROC area) and learning rate over steps.
 pub fn write_training_curves(path: &Path, events: &[Event]) -> Result<(), TrainError> {
     let steps = |value: fn(&super::journal::StepRecord) -> f64| -> Vec<(f64, f64)> {
         let of = |event: &Event| match event {
@@ -46,44 +46,53 @@ pub fn write_training_curves(path: &Path, events: &[Event]) -> Result<(), TrainE
     // At most about 2000 points in the background line, 150 in the smoothed one.
     let raw = smoothed(&loss, loss.len().div_ceil(2000));
     let smooth = smoothed(&loss, loss.len().div_ceil(150));
-    let panels = [
-        Panel {
-            title: "loss".into(),
-            curves: vec![
-                Curve { label: "training".into(), points: raw, faint: true },
-                curve("training, smoothed", smooth),
-                curve("validation", validations(|r| r.loss)),
-            ],
+    let mut panels = vec![Panel {
+        title: "loss".into(),
+        curves: vec![
+            Curve { label: "training".into(), points: raw, faint: true },
+            curve("training, smoothed", smooth),
+            curve("validation", validations(|r| r.loss)),
+        ],
+        range: None,
+    }];
+    let areas = validations(|r| r.roc_area.unwrap_or(f64::NAN));
+    if areas.iter().any(|(_, area)| area.is_finite()) {
+        panels.push(Panel {
+            title: "validation: area under the ROC curve of the features".into(),
+            curves: vec![curve("same points against others", areas)],
             range: None,
-        },
-        Panel {
-            title: "validation: share of pairs".into(),
-            curves: vec![
-                curve("within 5 deg and 5 cm", validations(|r| r.within_5deg_5cm)),
-                curve("within 15 deg", validations(|r| r.within_15deg)),
-                curve("within 15 deg, coarse stage", validations(|r| r.coarse_within_15deg)),
-                curve(
-                    "within 15 deg, print decides",
-                    validations(|r| r.print_within_15deg.unwrap_or(f64::NAN)),
-                ),
-                curve("average recall", validations(|r| r.average_recall.unwrap_or(f64::NAN))),
-            ],
-            range: Some((0.0, 1.0)),
-        },
-        Panel {
-            title: "validation: median rotation error, degrees".into(),
-            curves: vec![curve("rotation", validations(|r| r.median_rotation_deg))],
-            range: None,
-        },
-        Panel {
-            title: "learning rate".into(),
-            curves: vec![curve("learning rate", {
-                let rate = steps(|r| r.learning_rate);
-                smoothed(&rate, rate.len().div_ceil(500))
-            })],
-            range: None,
-        },
-    ];
+        });
+    } else {
+        panels.extend([
+            Panel {
+                title: "validation: share of pairs".into(),
+                curves: vec![
+                    curve("within 5 deg and 5 cm", validations(|r| r.within_5deg_5cm)),
+                    curve("within 15 deg", validations(|r| r.within_15deg)),
+                    curve("within 15 deg, coarse stage", validations(|r| r.coarse_within_15deg)),
+                    curve(
+                        "within 15 deg, print decides",
+                        validations(|r| r.print_within_15deg.unwrap_or(f64::NAN)),
+                    ),
+                    curve("average recall", validations(|r| r.average_recall.unwrap_or(f64::NAN))),
+                ],
+                range: Some((0.0, 1.0)),
+            },
+            Panel {
+                title: "validation: median rotation error, degrees".into(),
+                curves: vec![curve("rotation", validations(|r| r.median_rotation_deg))],
+                range: None,
+            },
+        ]);
+    }
+    panels.push(Panel {
+        title: "learning rate".into(),
+        curves: vec![curve("learning rate", {
+            let rate = steps(|r| r.learning_rate);
+            smoothed(&rate, rate.len().div_ceil(500))
+        })],
+        range: None,
+    });
     Ok(write_curves(path, "step", &panels)?)
 }
 
