@@ -78,8 +78,9 @@ fn features_come_near_the_teachers_and_a_resumed_run_is_the_same() {
     assert_eq!(outcome.stop_reason, StopReason::Finished);
     // Features that are kept as they were, and features that are not.
     let last_term = |name: &str, weight: &str| {
-        let set = format!("loss.kept_structure_weight={weight}");
-        let config = self::config(&["train.steps=12", "train.warmup_steps=1", &with_weights, &set]);
+        let set = [format!("loss.kept_structure_weight={weight}"), format!("loss.kept_encoder={best:?}")];
+        let config =
+            self::config(&["train.steps=12", "train.warmup_steps=1", &with_weights, &set[0], &set[1]]);
         let run = options(folder.path(), name);
         train(&config, &run).unwrap();
         let events = Journal::read(&run.out.join("metrics.jsonl")).unwrap();
@@ -132,9 +133,9 @@ fn what_cannot_be_distilled_is_named() {
             distil(&config(&overrides), &options(folder.path(), "run"), &file).unwrap_err().to_string();
         assert!(error.contains(part), "{error}");
     }
-    let keeping = Config::embedded("smoke", &["loss.kept_structure_weight=1.0".to_owned()]).unwrap();
+    let keeping = Config::embedded("smoke", &["loss.kept_encoder=\"no.safetensors\"".to_owned()]).unwrap();
     let error = train(&keeping, &options(folder.path(), "keeping")).unwrap_err().to_string();
-    assert!(error.contains("loss.kept_structure_weight is 1, expected 0 without"), "{error}");
+    assert!(error.contains("no.safetensors"), "{error}");
     let absent = folder.path().join("absent.pth");
     let error = distil(&config(&[]), &options(folder.path(), "run"), &absent).unwrap_err().to_string();
     assert!(error.contains("absent.pth"), "{error}");

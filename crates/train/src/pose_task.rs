@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use unopose_core::config::{ColorConfig, Config, ConfigError, HybridConfig};
+use unopose_core::config::Config;
 use unopose_nn::{
     checkpoint,
     model::{FeatureExtraction, UnoPose},
@@ -74,17 +74,9 @@ impl Task for PoseTask<'_> {
     }
 }
 
-/// The encoder of `model.color.weights`, when `loss.kept_structure_weight` asks for it.
+/// The encoder of `loss.kept_encoder`.
 fn kept_encoder(config: &Config, options: &TrainOptions) -> Result<Option<FeatureExtraction>, TrainError> {
-    if config.loss.kept_structure_weight == 0.0 {
-        return Ok(None);
-    }
-    let ColorConfig::Hybrid(HybridConfig { weights: Some(path), .. }) = &config.model.color else {
-        let (field, value) = ("loss.kept_structure_weight", config.loss.kept_structure_weight);
-        let expected = "0 without a distilled encoder in model.color.weights";
-        let (field, value, expected) = (field.into(), value.to_string(), expected.into());
-        return Err(TrainError::Config(ConfigError::Range { field, value, expected }));
-    };
+    let Some(path) = &config.loss.kept_encoder else { return Ok(None) };
     let random = UnoPose::new(&config.model, config.seed, &options.device);
     let model = checkpoint::load_encoder(path, &config.model, random)?;
     Ok(Some(model.feature_extraction))

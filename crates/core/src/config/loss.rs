@@ -1,5 +1,7 @@
 //! Weights and thresholds of the training losses.
 
+use std::path::PathBuf;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -20,8 +22,11 @@ pub struct LossConfig {
     pub overlap_weight: f32,
     /// Weight of the soft correspondence loss (CoFiNet), the paper's alternative to the overlap predictor. 0: none.
     pub correspondence_weight: f32,
-    /// Weight of the mean squared difference between the cosines of a pair's colour features now and as the encoder in
-    /// `model.color.weights` gives them, so that training does not forget what was distilled. 0: none.
+    /// Checkpoint of a distilled encoder of the same kind whose structure the colour features keep. Unset: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kept_encoder: Option<PathBuf>,
+    /// Weight of the mean squared difference between the cosines of a pair's colour features and of those that `kept_encoder`
+    /// gives, so that training does not forget what was distilled.
     pub kept_structure_weight: f32,
     /// Largest loss of one pair, without what is kept; larger losses are clamped.
     pub clamp: f32,
@@ -36,7 +41,8 @@ impl Default for LossConfig {
             saliency_weight: 1.0,
             overlap_weight: 1.0,
             correspondence_weight: 0.0,
-            kept_structure_weight: 0.0,
+            kept_encoder: None,
+            kept_structure_weight: 1.0,
             clamp: 100.0,
         }
     }
