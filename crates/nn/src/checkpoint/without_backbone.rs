@@ -57,8 +57,8 @@ pub fn load_with_backbone(
         .map(|network| test_features(network, config.model.image_size, device))
         .unwrap_or_default();
     let largest = stored.iter().fold(0.0f32, |largest, value| largest.max(value.abs()));
-    let apart = stored.iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    if found.len() != stored.len() || !(apart <= TOLERANCE * largest) {
+    let near = |(a, b): (&f32, &f32)| (a - b).abs() <= TOLERANCE * largest;
+    if found.len() != stored.len() || !stored.iter().zip(&found).all(near) {
         return Err(CheckpointError::OtherBackbone { path: path.to_owned(), backbone: backbone.to_owned() });
     }
     let own = tensors_of(&model, path)?;

@@ -84,8 +84,8 @@ mod tests {
         let corner = Tensor::<4>::ones([1, 3, 4, 4], &device);
         let changed = encoder.forward(images.slice_assign([0..1, 0..3, 28..32, 28..32], corner));
         let difference = (changed[2].clone() - maps[2].clone()).abs().max_dim(1);
-        let least = |i: usize| difference.clone().slice([i..i + 1]).min().into_scalar::<f32>();
-        let most = |i: usize| difference.clone().slice([i..i + 1]).max().into_scalar::<f32>();
+        let least = |i: usize| difference.clone().narrow(0, i, 1).min().into_scalar::<f32>();
+        let most = |i: usize| difference.clone().narrow(0, i, 1).max().into_scalar::<f32>();
         assert!(least(0) > 1e-5 && most(1) == 0.0, "{} {}", least(0), most(1));
         let local = (changed[1].clone() - maps[1].clone()).abs().slice([0..1, 0..8, 0..5, 0..5]);
         assert_eq!(local.max().into_scalar::<f32>(), 0.0);
