@@ -11,7 +11,7 @@ use unopose_nn::{
 use unopose_tests::backbone_files::{Sizes, meta, safetensors, weights};
 use unopose_train::{Event, Journal, StopReason, TrainOptions, distil, train};
 
-use super::run::{bits, losses, options};
+use super::small_runs::{bits, losses, options};
 
 const ENCODER: &str =
     r#"model.color={kind="hybrid", channels=[4, 8], embed_dim=64, depth=1, heads=1, out_dim=8}"#;

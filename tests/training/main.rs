@@ -3,5 +3,7 @@
 mod alternatives;
 mod distil;
 mod estimator;
+mod kills;
 mod overfit;
 mod run;
+mod small_runs;
