@@ -1,9 +1,13 @@
 //! Why a benchmark fails.
 
+use std::path::PathBuf;
+
 use unopose_core::files::FileError;
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
 use unopose_eval::{eval::EvalError, report::ReportError};
+use unopose_nn::checkpoint::CheckpointError;
 use unopose_pairs::data::DataError;
+use unopose_segment::SegmentError;
 
 /// Error of a benchmark.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +38,22 @@ pub enum BenchError {
         name: String,
         /// All known names, separated by commas.
         expected: String,
+    },
+    /// Masks cannot be found.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+    /// Weights cannot be read.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// A vision transformer has fewer blocks than are to be run.
+    #[error("{} has {depth} blocks, expected at least {blocks}", path.display())]
+    Blocks {
+        /// The weights.
+        path: PathBuf,
+        /// Blocks that were asked for.
+        blocks: usize,
+        /// Blocks that there are.
+        depth: usize,
     },
     /// A view of a pair cannot be prepared.
     #[error(transparent)]

@@ -30,6 +30,7 @@ mod suite;
 mod unoseg_masks;
 pub mod verify;
 mod view_features;
+mod view_list;
 mod view_pairs;
 
 pub use ablation::INGREDIENTS;
@@ -42,6 +43,7 @@ pub use sequence::{SequenceRun, run_sequence, sequence_table};
 pub use suite::{Method, Suite};
 pub use unoseg_masks::UnoSegMasks;
 pub use view_features::{FeatureSource, PairAreas, features_table, measure_features};
+pub use view_list::OwnMasks;
 pub use view_pairs::{PairResult, PairsRun, Verdict, pairs_table, run_pairs};
 
 #[cfg(test)]

@@ -6,21 +6,16 @@ use burn::tensor::{Device, Tensor};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use unopose_core::{
-    config::ModelConfig,
-    files::write_atomic,
-    frame::{Mask, RgbdFrame},
-    geometry::Pose,
-};
+use unopose_core::{config::ModelConfig, files::write_atomic, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::files::write_json;
 use unopose_eval::eval::{FeatureSimilarity, match_area};
 use unopose_nn::{
-    checkpoint::{self, CheckpointError, load_transformer},
+    checkpoint::{self, load_transformer},
     model::{UnoPose, ViewTensors, VisionTransformer},
 };
 use unopose_pairs::data::{CloudInput, PreparedReference, prepare_query, prepare_reference};
 
-use super::{BenchError, view_pairs::PairViews};
+use super::{BenchError, view_list::PairViews};
 
 /// Points per view.
 const POINTS: usize = 256;
@@ -42,8 +37,8 @@ enum Network {
     Colors,
     /// Of a checkpoint, a whole network's or a distilled one.
     Encoder(Box<UnoPose>),
-    /// DINOv2.
-    Transformer(Box<VisionTransformer>),
+    /// DINOv2, read after so many blocks.
+    Transformer(Box<VisionTransformer>, usize),
 }
 
 /// Areas of one pair.
@@ -69,19 +64,24 @@ impl FeatureSource {
     }
 
     /// The colour encoder of a checkpoint.
-    pub fn encoder(path: &Path, device: &Device) -> Result<Self, CheckpointError> {
+    pub fn encoder(path: &Path, device: &Device) -> Result<Self, BenchError> {
         let config = checkpoint::read_config(path)?;
         let model = UnoPose::new(&config.model, config.seed, device);
         let model = checkpoint::load_encoder(path, &config.model, model)?;
-        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Self { name, network: Network::Encoder(Box::new(model)), config: small(config.model) })
+        let network = Network::Encoder(Box::new(model));
+        Ok(Self { name: stem(path), network, config: small(config.model) })
     }
 
-    /// The patch tokens of DINOv2 weights after three quarters of the blocks, crops of 224 pixels.
-    pub fn transformer(path: &Path, device: &Device) -> Result<Self, CheckpointError> {
+    /// The patch tokens of DINOv2 weights after so many of their blocks, three quarters of them unless given; crops of 224 pixels.
+    pub fn transformer(path: &Path, blocks: Option<usize>, device: &Device) -> Result<Self, BenchError> {
         let network = load_transformer(path, TRANSFORMER_SIZE, device)?;
-        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Self { name, network: Network::Transformer(Box::new(network)), ..Self::colors() })
+        let depth = network.depth();
+        let blocks = blocks.unwrap_or(depth * 3 / 4);
+        if blocks > depth {
+            return Err(BenchError::Blocks { path: path.to_owned(), blocks, depth });
+        }
+        let name = format!("{} block {blocks}", stem(path));
+        Ok(Self { name, network: Network::Transformer(Box::new(network), blocks), ..Self::colors() })
     }
 
     /// Short name, that of the file.
@@ -100,9 +100,8 @@ impl FeatureSource {
                 choose.sample_grid(pixels, size)
             }
             Network::Encoder(model) => model.feature_extraction.forward(view.images, &choose),
-            Network::Transformer(network) => {
-                let blocks = network.depth() * 3 / 4;
-                choose.sample_grid(network.tokens_after(view.images, blocks), size)
+            Network::Transformer(network, blocks) => {
+                choose.sample_grid(network.tokens_after(view.images, *blocks), size)
             }
         };
         let channels = features.dims()[2];
@@ -118,14 +117,14 @@ impl FeatureSource {
 
     fn area(
         &self,
-        [(reference, reference_mask), (query, query_mask)]: [&(RgbdFrame, Mask); 2],
+        [reference, query]: [MaskedView<'_>; 2],
         truth: &Pose,
         device: &Device,
     ) -> Result<Option<f64>, BenchError> {
         let rng = &mut ChaCha8Rng::seed_from_u64(0);
         let PreparedReference { cloud: reference, radius, .. } =
-            prepare_reference(reference, reference_mask, &self.config, rng)?;
-        let query = prepare_query(query, query_mask, radius, &self.config, rng)?;
+            prepare_reference(reference.frame, reference.mask, &self.config, rng)?;
+        let query = prepare_query(query.frame, query.mask, radius, &self.config, rng)?;
         let back = truth.inverse();
         let own: Vec<[f32; 3]> = metric(&query, radius).iter().map(|p| back.transform_f32(p)).collect();
         let others = metric(&reference, radius);
@@ -136,6 +135,10 @@ impl FeatureSource {
             [&query, &reference].map(|cloud| self.features(cloud, device));
         Ok(match_area([&query, &reference], channels, &distances, NEAR, self.similarity()))
     }
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// As many points as are compared, and nothing that only poses need.
@@ -158,12 +161,15 @@ pub fn measure_features(
     folder: &Path,
     progress: &dyn Fn(usize, usize),
 ) -> Result<Vec<PairAreas>, BenchError> {
-    let mut pairs = PairViews::open(list)?;
+    let mut pairs = PairViews::open(list, None)?;
     let mut measured = Vec::new();
     for index in 0..pairs.len() {
         progress(index, pairs.len());
         let pair = pairs.pair(index)?;
-        let views = [&pair.reference, &pair.query];
+        // None are to be found, so the list's masks are there.
+        let Ok(mask) = &pair.query_mask else { continue };
+        let (frame, reference_mask) = &pair.reference;
+        let views = [MaskedView { frame, mask: reference_mask }, MaskedView { frame: &pair.query, mask }];
         let areas = sources.iter().map(|source| source.area(views, &pair.truth, device));
         measured.push(PairAreas {
             object: pair.listed.object.clone(),

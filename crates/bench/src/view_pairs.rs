@@ -1,29 +1,24 @@
 //! Single pairs of views with a known relative pose, as real recordings give them: no models, no scenes.
 
-use std::{
-    collections::BTreeMap,
-    fmt,
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::{fmt, io::Write, path::Path};
 
 use image::RgbImage;
 use nalgebra::Point3;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use unopose_core::{
     files::write_atomic,
-    frame::{Mask, MaskedView, RgbdFrame},
+    frame::{BoundingBox, Mask, MaskedView},
     geometry::{Pose, nearest_distances},
 };
-use unopose_dataset::formats::{
-    FormatError,
-    files::{read_json, write_json},
-};
+use unopose_dataset::formats::files::write_json;
 use unopose_eval::report::overlay::{contact_sheet, cutout, painted_overlay, pose_overlay, write_png};
-use unopose_infer::{PoseCriterion, ViewFiles, ViewRole};
+use unopose_infer::PoseCriterion;
 use unopose_pairs::registration::{PairEstimator, Refined, Refinement};
 
-use super::{BenchError, Method};
+use super::{
+    BenchError, Method,
+    view_list::{OwnMasks, PairViews, ViewPair},
+};
 
 /// Mean distance between the surfaces in two poses, diameters, up to which they are the same shape in the same place.
 const SAME_SHAPE: f64 = 0.04;
@@ -32,30 +27,6 @@ const SHAPE_POINTS: usize = 800;
 /// Side of a picture on the sheet, pixels.
 const TILE: u32 = 200;
 const COLOR: image::Rgb<u8> = image::Rgb([255, 170, 0]);
-
-/// An entry of a list of pairs. Further fields are left alone.
-#[derive(Clone, Debug, Deserialize)]
-pub(super) struct ListedPair {
-    /// Name of the object: its masks are `mask_OBJECT.png`.
-    pub object: String,
-    /// Folders of the views, beside the list.
-    pub reference: String,
-    pub query: String,
-    /// With a `+` when nothing that is visible fixes the rotation, so that only the shape counts.
-    #[serde(default)]
-    symmetry: String,
-    #[serde(rename = "T_query_reference")]
-    t_query_reference: ListedPose,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-struct ListedPose {
-    /// Row by row.
-    #[serde(rename = "R")]
-    rotation: [f64; 9],
-    /// Metres.
-    t: [f64; 3],
-}
 
 /// How right a pose is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -124,16 +95,18 @@ impl PairsRun {
 }
 
 /// Runs every method with every refinement on a list of pairs (`object`, `reference`, `query`, `T_query_reference`; the
-/// views are folders beside it with `rgb`, `depth`, `camera.json`, `mask_OBJECT`). Writes `pairs.json`, `pairs.md` and a sheet
+/// views are folders beside it with `rgb`, `depth`, `camera.json`, `mask_OBJECT`). With `own_masks` the query's masks are not
+/// read but found. Writes `pairs.json`, `pairs.md` and a sheet
 /// `METHOD.png` per method: reference, query, and the query with the reference's own colours in the estimated pose.
 pub fn run_pairs(
     list: &Path,
+    own_masks: Option<&OwnMasks<'_>>,
     methods: &[Method],
     refinements: &[Refinement],
     folder: &Path,
     progress: &dyn Fn(&str, usize, usize),
 ) -> Result<Vec<PairsRun>, BenchError> {
-    let mut pairs = PairViews::open(list)?;
+    let mut pairs = PairViews::open(list, own_masks)?;
     let mut runs = Vec::new();
     for method in methods {
         for &refinement in refinements {
@@ -156,78 +129,16 @@ pub fn run_pairs(
     Ok(runs)
 }
 
-impl ListedPair {
-    fn truth(&self, list: &Path) -> Result<Pose, FormatError> {
-        let ListedPose { rotation, t } = &self.t_query_reference;
-        let pose = Pose::new(nalgebra::Matrix3::from_row_slice(rotation), (*t).into());
-        if pose.rotation_defect() < 1e-3 && t.iter().all(|x| x.is_finite()) {
-            return Ok(pose);
-        }
-        let field = format!("T_query_reference of {} in {}", self.object, self.query);
-        Err(FormatError::field(list.display(), field, format!("{rotation:?} {t:?}"), "a rotation and metres"))
-    }
-}
-
-/// The pairs of a list, their views read on demand and kept.
-pub(super) struct PairViews {
-    root: PathBuf,
-    listed: Vec<(ListedPair, Pose)>,
-    known: BTreeMap<(String, String, bool), (RgbdFrame, Mask)>,
-}
-
-/// A pair with its views and the true pose, reference to query camera.
-pub(super) struct ViewPair {
-    pub listed: ListedPair,
-    pub truth: Pose,
-    pub reference: (RgbdFrame, Mask),
-    pub query: (RgbdFrame, Mask),
-}
-
-impl PairViews {
-    /// Reads and checks the list.
-    pub fn open(list: &Path) -> Result<Self, FormatError> {
-        let pairs: Vec<ListedPair> = read_json(list)?;
-        if pairs.is_empty() {
-            return Err(FormatError::field(list.display(), "pairs", "none", "at least one"));
-        }
-        let with_truth = |pair: ListedPair| pair.truth(list).map(|truth| (pair, truth));
-        Ok(Self {
-            root: list.parent().unwrap_or(Path::new(".")).to_owned(),
-            listed: pairs.into_iter().map(with_truth).collect::<Result<_, _>>()?,
-            known: BTreeMap::new(),
-        })
-    }
-
-    /// Number of pairs.
-    pub fn len(&self) -> usize {
-        self.listed.len()
-    }
-
-    /// A pair by its place in the list.
-    pub fn pair(&mut self, index: usize) -> Result<ViewPair, FormatError> {
-        let (listed, truth) = self.listed[index].clone();
-        let query = self.get(&listed.query, &listed.object, ViewRole::Query)?;
-        let reference = self.get(&listed.reference, &listed.object, ViewRole::Reference)?;
-        Ok(ViewPair { listed, truth, reference, query })
-    }
-
-    fn get(&mut self, folder: &str, object: &str, role: ViewRole) -> Result<(RgbdFrame, Mask), FormatError> {
-        let key = (folder.to_owned(), object.to_owned(), role == ViewRole::Reference);
-        if let Some(view) = self.known.get(&key) {
-            return Ok(view.clone());
-        }
-        let files = ViewFiles::in_folder(&self.root.join(folder), &[object])?;
-        let view = files.read_as(role, None)?;
-        let mask = view.masks.into_iter().next().unwrap_or_else(|| Mask::empty(0, 0));
-        Ok(self.known.entry(key).or_insert((view.frame, mask)).clone())
-    }
-}
-
 fn run(pair: &ViewPair, method: &Refined<'_>) -> Result<(PairResult, [RgbImage; 3]), BenchError> {
-    let ViewPair { listed: pair, truth, reference, query } = pair;
-    let ((reference, reference_mask), (query, query_mask)) = (reference, query);
+    let ViewPair { listed: pair, truth, reference: (reference, reference_mask), query, query_mask } = pair;
     let reference_view = MaskedView { frame: reference, mask: reference_mask };
-    let estimate = method.estimate(MaskedView { frame: query, mask: query_mask }, reference_view);
+    let estimate = match query_mask {
+        Ok(mask) => {
+            let estimate = method.estimate(MaskedView { frame: query, mask }, reference_view);
+            estimate.map_err(|error| error.to_string())
+        }
+        Err(reason) => Err(reason.clone()),
+    };
     let points = reference_view.points();
     let mut result = PairResult {
         object: pair.object.clone(),
@@ -253,7 +164,7 @@ fn run(pair: &ViewPair, method: &Refined<'_>) -> Result<(PairResult, [RgbImage; 
             Some(pose)
         }
         Err(error) => {
-            result.error = Some(error.to_string());
+            result.error = Some(error);
             None
         }
     };
@@ -269,19 +180,19 @@ fn run(pair: &ViewPair, method: &Refined<'_>) -> Result<(PairResult, [RgbImage; 
         Some(pose) => pose_overlay(&query.rgb, &query.intrinsics, pose, &[], COLOR),
         None => query.rgb.clone(),
     };
-    let around = |mask: &Mask| {
-        let bounds = mask.bounding_box();
-        bounds.map_or(((0.0, 0.0), 20.0), |b| {
-            let middle = |low: u32, high: u32| f64::from(low + high) / 2.0;
-            let longer = (b.col_max - b.col_min).max(b.row_max - b.row_min);
-            ((middle(b.col_min, b.col_max), middle(b.row_min, b.row_max)), f64::from(longer) * 0.65 + 8.0)
-        })
+    let part = |image: &RgbImage, mask: Option<&Mask>| {
+        let (width, height) = image.dimensions();
+        // Without a mask the whole image.
+        let whole = BoundingBox { col_min: 0, row_min: 0, col_max: width, row_max: height };
+        let b = mask.and_then(Mask::bounding_box).unwrap_or(whole);
+        let middle = |low: u32, high: u32| f64::from(low + high) / 2.0;
+        let longer = (b.col_max - b.col_min).max(b.row_max - b.row_min);
+        let center = (middle(b.col_min, b.col_max), middle(b.row_min, b.row_max));
+        cutout(image, center, f64::from(longer) * 0.65 + 8.0, TILE)
     };
-    let part = |image: &RgbImage, mask: &Mask| {
-        let (center, half) = around(mask);
-        cutout(image, center, half, TILE)
-    };
-    let tiles = [part(&reference.rgb, reference_mask), part(&outlined, query_mask), part(&drawn, query_mask)];
+    let query_mask = query_mask.as_ref().ok();
+    let tiles =
+        [part(&reference.rgb, Some(reference_mask)), part(&outlined, query_mask), part(&drawn, query_mask)];
     Ok((result, tiles))
 }
 

@@ -6,6 +6,9 @@ use unopose_core::frame::RgbdFrame;
 
 use super::{ImageKey, Matcher, Proposal, ProposalGenerator, SegmentError, assignment::assign};
 
+/// Score of a second instance of an object: it has to be more likely one than not.
+const FURTHER: f64 = 0.5;
+
 /// A proposal generator with a matcher.
 pub struct UnoSeg<'a, M: Matcher> {
     /// Finds the candidate masks.
@@ -61,6 +64,29 @@ impl<M: Matcher> UnoSeg<'_, M> {
             false => self.found(frame, &proposals, objects)?,
         };
         Ok(ImageSegmentation { proposals, found, proposal_seconds, seconds: start.elapsed().as_secs_f64() })
+    }
+
+    /// [`Self::segment`] for one object, of which only the instances are kept: what reaches the matcher's score of an instance, or
+    /// the best detection of a matcher that knows no absence; further ones where they are more likely than not. An error when
+    /// there is none; `image` is for its message.
+    pub fn instances(
+        &self,
+        frame: &RgbdFrame,
+        object: &M::Object,
+        image: &str,
+    ) -> Result<ImageSegmentation, SegmentError> {
+        let mut segmented = self.segment(frame, None, &[object])?;
+        let least = self.matcher.instance_score();
+        let best = segmented.found.first().map(|best| (best.score, least));
+        let is_there = !self.matcher.knows_absence() || best.is_some_and(|(score, least)| score >= least);
+        if !is_there || segmented.found.is_empty() {
+            let (image, proposals) = (image.to_owned(), segmented.proposals.len());
+            return Err(SegmentError::NotFound { image, proposals, best });
+        }
+        let further =
+            segmented.found.iter().skip(1).take_while(|found| found.score >= least.max(FURTHER)).count();
+        segmented.found.truncate(1 + further);
+        Ok(segmented)
     }
 
     /// Compares, assigns and cuts the masks anew.

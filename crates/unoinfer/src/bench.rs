@@ -9,7 +9,7 @@ use std::{
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use unopose_bench::{
-    DetectionSource, INGREDIENTS, ListRequest, Method, Network, PreparedList, Suite, UnoSegMasks,
+    DetectionSource, INGREDIENTS, ListRequest, Method, Network, OwnMasks, PreparedList, Suite, UnoSegMasks,
     pairs_table, run_pairs, run_sequence, sequence_table,
 };
 use unopose_cli::{DeviceOption, print_text, say, tell};
@@ -70,7 +70,7 @@ pub struct BenchArguments {
     #[arg(long, value_name = "JSON")]
     targets: Option<PathBuf>,
     /// Masks: gt (annotated visible masks), unoseg (found for --targets as `segment` does, by --descriptor or the first
-    /// checkpoint; kept in OUT/segmentation), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
+    /// checkpoint; kept in OUT/segmentation; with --list found in each query), or a file with scene_id, image_id, category_id, bbox, score, time, segmentation
     #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
     detections: DetectionSource,
     /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
@@ -234,11 +234,7 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
         splits.reference_split = splits.open()?.reference_split_name().map(str::to_owned);
     }
     let files = DatasetFiles { splits, targets, limit: arguments.limit, templates: None };
-    let estimator = match arguments.checkpoint.first() {
-        Some(path) => PoseEstimator::load(path, device)?,
-        None => PoseEstimator::load_default(device)?,
-    }
-    .with_seed(arguments.seed);
+    let estimator = first_estimator(arguments)?;
     let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
     let dataset = arguments.dataset()?;
     let found = |source: &dyn ProposalGenerator| {
@@ -248,6 +244,16 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
         Ok(UnoSegMasks { proposals: source.name(), matcher: matcher.name(), scores, detections })
     };
     sources.iter().map(|source| found(source.as_ref())).collect()
+}
+
+/// The network that compares proposals with references.
+fn first_estimator(arguments: &BenchArguments) -> anyhow::Result<PoseEstimator> {
+    let device = arguments.device.choice();
+    let estimator = match arguments.checkpoint.first() {
+        Some(path) => PoseEstimator::load(path, device)?,
+        None => PoseEstimator::load_default(device)?,
+    };
+    Ok(estimator.with_seed(arguments.seed))
 }
 
 fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()> {
@@ -263,9 +269,29 @@ fn sequence(arguments: &BenchArguments, methods: &[Method]) -> anyhow::Result<()
 fn view_pairs(arguments: &BenchArguments, list: &Path, methods: &[Method]) -> anyhow::Result<()> {
     let shown: Mutex<Option<(String, ProgressDisplay)>> = Mutex::new(None);
     let progress = |label: &str, done, total| show(&shown, label, done, total);
-    let runs = run_pairs(list, methods, &arguments.refine, &arguments.out, &progress)?;
-    print_text(&pairs_table(&runs));
-    Ok(())
+    let run = |own_masks: Option<&OwnMasks<'_>>| -> anyhow::Result<()> {
+        let runs = run_pairs(list, own_masks, methods, &arguments.refine, &arguments.out, &progress)?;
+        print_text(&pairs_table(&runs));
+        Ok(())
+    };
+    match &arguments.detections {
+        DetectionSource::GroundTruth => run(None),
+        DetectionSource::File(path) => {
+            bail!("--detections {}: expected gt or unoseg for pairs", path.display())
+        }
+        DetectionSource::UnoSeg(()) => {
+            let source = match arguments.proposals.as_slice() {
+                [] => EMBEDDED,
+                [source] => source,
+                several => bail!("--proposals has {} sources, expected one for pairs", several.len()),
+            };
+            check_sam_points(arguments.sam_points, &[source])?;
+            let generator = generator(source, arguments.sam_points, arguments.device.choice())?;
+            let estimator = first_estimator(arguments)?;
+            let matcher = AnyMatcher::choose(arguments.descriptor.as_deref(), &estimator)?;
+            run(Some(&OwnMasks { generator: generator.as_ref(), matcher: &matcher }))
+        }
+    }
 }
 
 fn protocols(arguments: &BenchArguments) -> Vec<Protocol> {

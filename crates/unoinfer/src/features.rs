@@ -19,6 +19,9 @@ pub struct FeaturesArguments {
     /// DINOv2 weights that are measured beside them
     #[arg(long, value_name = "FILE")]
     teacher: Option<PathBuf>,
+    /// Blocks of the teacher after which its tokens are read [default: three quarters of them]
+    #[arg(long, value_name = "N", requires = "teacher", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..))]
+    teacher_blocks: Vec<u16>,
     /// Folder for features.json and features.md
     #[arg(long, value_name = "DIR", default_value = "features")]
     out: PathBuf,
@@ -33,7 +36,11 @@ pub fn run(arguments: &FeaturesArguments) -> anyhow::Result<()> {
         sources.push(FeatureSource::encoder(path, &device)?);
     }
     if let Some(path) = &arguments.teacher {
-        sources.push(FeatureSource::transformer(path, &device)?);
+        let given = arguments.teacher_blocks.iter().map(|&blocks| Some(blocks.into()));
+        let default = arguments.teacher_blocks.is_empty().then_some(None);
+        for blocks in given.chain(default) {
+            sources.push(FeatureSource::transformer(path, blocks, &device)?);
+        }
     }
     let display = ProgressDisplay::new("measuring");
     let progress = |done: usize, total: usize| display.set(done, total);

@@ -14,9 +14,6 @@ pub struct MaskFinder<'a> {
     object: AnyObject,
 }
 
-/// Score of a second instance of the object: it has to be more likely one than not.
-const FURTHER: f64 = 0.5;
-
 /// The object's instances in an image.
 #[derive(Debug)]
 pub struct FoundMasks {
@@ -38,18 +35,8 @@ impl<'a> MaskFinder<'a> {
 
     /// Detections that are instances; an error where the object is not in the image. `image` is for messages.
     pub fn find(&self, frame: &RgbdFrame, image: &Path) -> Result<FoundMasks, SegmentError> {
-        let found = self.unoseg.segment(frame, None, &[&self.object])?;
-        let least = self.unoseg.matcher.instance_score();
-        let best = found.found.first().map(|best| (best.score, least));
-        let is_there =
-            !self.unoseg.matcher.knows_absence() || best.is_some_and(|(score, least)| score >= least);
-        let further =
-            found.found.iter().skip(1).take_while(|object| object.score >= least.max(FURTHER)).count();
-        let taken = found.found.into_iter().take(if is_there { 1 + further } else { 0 });
-        let instances: Vec<_> = taken.map(|object| (object.mask, object.score)).collect();
-        if instances.is_empty() {
-            return Err(not_found(image, found.proposals.len(), best));
-        }
+        let found = self.unoseg.instances(frame, &self.object, &image.display().to_string())?;
+        let instances = found.found.into_iter().map(|object| (object.mask, object.score)).collect();
         Ok(FoundMasks { instances, seconds: found.seconds })
     }
 
@@ -76,9 +63,4 @@ impl<'a> MaskFinder<'a> {
         }
         Ok((view, ViewFiles { masks, ..files.clone() }, scores))
     }
-}
-
-/// The error of an image in which nothing is found; `best` is the highest score and the least one of an instance.
-pub fn not_found(image: &Path, proposals: usize, best: Option<(f64, f64)>) -> SegmentError {
-    SegmentError::NotFound { image: image.display().to_string(), proposals, best }
 }

@@ -17,10 +17,10 @@ use unopose_dataset::formats::{
 };
 use unopose_eval::report::overlay;
 use unopose_infer::{ViewFiles, ViewRole};
-use unopose_segment::{AnyMatcher, Prompt, Proposal};
+use unopose_segment::{AnyMatcher, Prompt, Proposal, SegmentError};
 
 use super::{
-    mask_finder::{MaskFinder, not_found},
+    mask_finder::MaskFinder,
     options::{CameraOptions, EstimatorOptions, MaskOptions, SplitOptions},
     proposals::ProposalOptions,
     segment_dataset::{DatasetFiles, segment_dataset},
@@ -130,7 +130,8 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let proposals = generator.proposals(&frame, None)?;
     let seconds = start.elapsed().as_secs_f64();
     if proposals.is_empty() {
-        return Err(not_found(&path, 0, None).into());
+        let image = path.display().to_string();
+        return Err(SegmentError::NotFound { image, proposals: 0, best: None }.into());
     }
     let all: Vec<_> = proposals.iter().map(|p| (p, f64::from(p.score))).collect();
     write(&arguments.out, &frame, &all, seconds)

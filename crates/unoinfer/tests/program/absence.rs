@@ -8,7 +8,7 @@ use unopose_segment::{MatchFeature, MatchScore};
 use super::infer::Files;
 
 /// The files with a checkpoint whose masks score by their size alone, and whose poses are trusted by their number of points.
-fn scored(threshold: f64) -> Files {
+pub fn scored(threshold: f64) -> Files {
     let files = Files::new();
     let score = MatchScore {
         intercept: 2.0,

@@ -4,5 +4,6 @@ mod absence;
 mod endings;
 mod infer;
 mod inputs;
+mod pairs;
 mod sam;
 mod verify;
