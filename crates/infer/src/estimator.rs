@@ -10,12 +10,12 @@ use std::{
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use unopose_core::{
-    config::ModelConfig,
+    config::{Config, ModelConfig},
     frame::{Mask, RgbdFrame},
     geometry::Pose,
 };
 use unopose_nn::{
-    checkpoint,
+    checkpoint::{self, Meta},
     device::DeviceChoice,
     model::{EncodedCloud, UnoPose},
 };
@@ -58,11 +58,9 @@ pub struct PoseEstimator {
 impl PoseEstimator {
     /// The network of a checkpoint, with the configuration inside it.
     pub fn load(path: &Path, device: DeviceChoice) -> Result<Self, InferError> {
-        let (device, backend) = device.open()?;
-        let (model, config, meta) = checkpoint::load(path, &device)?;
-        let calibration = Calibration::from_metadata(&meta.extra, path)?;
-        let estimator = Self::new(model, config.model, device, backend, path.display().to_string());
-        Ok(Self { calibration, metadata: meta.extra, ..estimator })
+        let opened = device.open()?;
+        let loaded = checkpoint::load(path, &opened.0)?;
+        Self::from_loaded(loaded, opened, path.display().to_string())
     }
 
     /// The network of a checkpoint that was written without its backbone, completed by the DINOv2 weights in `backbone`.
@@ -71,21 +69,28 @@ impl PoseEstimator {
         backbone: &Path,
         device: DeviceChoice,
     ) -> Result<Self, InferError> {
-        let (device, choice) = device.open()?;
-        let (model, config, meta) = checkpoint::load_with_backbone(path, backbone, &device)?;
-        let calibration = Calibration::from_metadata(&meta.extra, path)?;
-        let estimator = Self::new(model, config.model, device, choice, path.display().to_string());
-        Ok(Self { calibration, metadata: meta.extra, ..estimator })
+        let opened = device.open()?;
+        let loaded = checkpoint::load_with_backbone(path, backbone, &opened.0)?;
+        Self::from_loaded(loaded, opened, path.display().to_string())
     }
 
     /// The network that is compiled in; an error in builds without one.
     pub fn embedded(device: DeviceChoice) -> Result<Self, InferError> {
         let bytes = unopose_checkpoints::GEO.ok_or(InferError::NoCheckpoint { looked: Vec::new() })?;
-        let (device, backend) = device.open()?;
+        let opened = device.open()?;
         let name = format!("embedded {DEFAULT_CHECKPOINT}");
-        let (model, config, meta) = checkpoint::load_bytes(bytes, &name, &device)?;
-        let calibration = Calibration::from_metadata(&meta.extra, Path::new(&name))?;
-        let estimator = Self::new(model, config.model, device, backend, name);
+        let loaded = checkpoint::load_bytes(bytes, &name, &opened.0)?;
+        Self::from_loaded(loaded, opened, name)
+    }
+
+    /// With what the checkpoint says besides its weights.
+    fn from_loaded(
+        (model, config, meta): (UnoPose, Config, Meta),
+        (device, backend): (Device, DeviceChoice),
+        source: String,
+    ) -> Result<Self, InferError> {
+        let calibration = Calibration::from_metadata(&meta.extra, Path::new(&source))?;
+        let estimator = Self::new(model, config.model, device, backend, source);
         Ok(Self { calibration, metadata: meta.extra, ..estimator })
     }
 

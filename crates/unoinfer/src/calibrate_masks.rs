@@ -5,10 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use unopose_cli::{DeviceOption, say};
-use unopose_dataset::{
-    formats::{files::write_json, targets::read_reference_targets},
-    protocol::MIN_DETECTION_SCORE,
-};
+use unopose_dataset::formats::{files::write_json, targets::read_reference_targets};
 use unopose_eval::report::{Curve, Panel, write_curves};
 use unopose_infer::PoseEstimator;
 use unopose_nn::checkpoint;
@@ -112,8 +109,5 @@ fn write_report(report: &PresenceReport, score: &MatchScore, out: &Path) -> anyh
         100.0 * report.invented,
         report.absent
     );
-    if score.threshold < MIN_DETECTION_SCORE {
-        say!("targets of a dataset take detections above {MIN_DETECTION_SCORE} or the best one");
-    }
     Ok(())
 }

@@ -239,10 +239,7 @@ fn estimate_view(
             .collect();
         bail!("{}", reasons.join("; "));
     };
-    let mut value = record(estimator, reference, files, &results, best);
-    for (instance, score) in value["instances"].as_array_mut().into_iter().flatten().zip(mask_scores) {
-        instance["mask_score"] = json!(score);
-    }
+    let mut value = record(estimator, reference, files, &results, mask_scores, best);
     value["warnings"] = json!(found);
     write_json(&out.join("pose.json"), &value, true)?;
     overlay::write_png(&out.join("overlay.png"), &drawn(reference, view, &results))?;
@@ -269,17 +266,22 @@ fn record(
     reference: &Reference,
     files: &ViewFiles,
     results: &[Result<Estimate, InferError>],
+    mask_scores: &[f64],
     best: &Estimate,
 ) -> serde_json::Value {
     let instances: Vec<serde_json::Value> = results
         .iter()
         .zip(&files.masks)
-        .map(|(result, mask)| {
+        .enumerate()
+        .map(|(index, (result, mask))| {
             let mut value = match result {
                 Ok(estimate) => fields(estimate),
                 Err(error) => json!({ "error": error.to_string() }),
             };
             value["mask"] = json!(mask.display().to_string());
+            if let Some(score) = mask_scores.get(index) {
+                value["mask_score"] = json!(score);
+            }
             value
         })
         .collect();

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use serde::{Deserialize, Serialize};
-use unopose_nn::checkpoint::CheckpointError;
+use unopose_nn::checkpoint::{CheckpointError, metadata_value};
 
 use super::{Evidence, Feature, ReasonKind, logistic_regression};
 
@@ -186,13 +186,7 @@ impl Calibration {
         metadata: &BTreeMap<String, String>,
         path: &Path,
     ) -> Result<Option<Self>, CheckpointError> {
-        let Some(text) = metadata.get(METADATA_KEY) else { return Ok(None) };
-        serde_json::from_str(text).map(Some).map_err(|error| CheckpointError::Metadata {
-            path: path.to_owned(),
-            key: METADATA_KEY,
-            value: text.clone(),
-            expected: format!("a calibration ({error})"),
-        })
+        metadata_value(metadata, METADATA_KEY, path, "a calibration")
     }
 }
 

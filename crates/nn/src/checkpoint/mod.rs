@@ -155,6 +155,19 @@ pub fn read_meta(path: &Path) -> Result<Meta, CheckpointError> {
     meta_of(&TensorFile::read(path)?, path)
 }
 
+/// The value of a metadata entry that holds JSON, `None` where the checkpoint has no such entry. `expected` says in a message
+/// what it should be.
+pub fn metadata_value<T: serde::de::DeserializeOwned>(
+    metadata: &BTreeMap<String, String>,
+    key: &'static str,
+    path: &Path,
+    expected: &str,
+) -> Result<Option<T>, CheckpointError> {
+    let Some(text) = metadata.get(key) else { return Ok(None) };
+    let read = serde_json::from_str(text);
+    read.map(Some).map_err(|error| metadata_error(path, key, text, &format!("{expected} ({error})")))
+}
+
 /// Sets entries of a checkpoint's metadata and writes the file to `output` (which may be `path`).
 pub fn annotate(
     path: &Path,

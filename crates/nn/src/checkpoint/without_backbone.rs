@@ -6,7 +6,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use unopose_core::config::Config;
 
 use super::{
-    CheckpointError, Meta, TensorFile, config_of, fill, load_backbone, meta_of, metadata_error, tensors_of,
+    CheckpointError, Meta, TensorFile, config_of, fill, load_backbone, meta_of, metadata_error,
+    metadata_value, tensors_of,
 };
 use crate::model::{UnoPose, VisionTransformer};
 
@@ -44,10 +45,8 @@ pub fn load_with_backbone(
     let absent = |key, expected| metadata_error(path, key, "absent", expected);
     let config = config_of(&file, path)?.ok_or_else(|| absent("config", "a configuration"))?;
     let meta = meta_of(&file, path)?;
-    let stored = file.metadata.get(KEY);
+    let stored: Option<Vec<f32>> = metadata_value(&file.metadata, KEY, path, "a list of features")?;
     let stored = stored.ok_or_else(|| absent(KEY, "a checkpoint that was written without its backbone"))?;
-    let stored: Vec<f32> =
-        serde_json::from_str(stored).map_err(|_| metadata_error(path, KEY, stored, "a list of features"))?;
     let model = load_backbone(backbone, &config.model, UnoPose::new(&config.model, config.seed, device))?;
     let found = model
         .feature_extraction

@@ -148,8 +148,8 @@ impl VisionTransformer {
         }
     }
 
-    /// Patch tokens after the first `blocks` blocks and the final norm, row-major: `[B, patches, embed_dim]`. Tokens of two thirds
-    /// to three quarters of the depth tell the places of an object apart better than those of the last block.
+    /// Patch tokens after the first `blocks` blocks and the final norm, row-major: `[B, patches, embed_dim]`. Those of half to
+    /// three quarters of the depth tell the places of an object apart better than those of the last block.
     pub fn tokens_after(&self, images: Tensor<4>, blocks: usize) -> Tensor<3> {
         let (x, patches) = self.embed(images);
         let x = self.blocks.iter().take(blocks).fold(x, |x, block| block.forward(x));

@@ -19,6 +19,11 @@ pub fn imagenet_normalised(rgb: [u8; 3]) -> [f32; 3] {
     std::array::from_fn(|c| (f32::from(rgb[c]) / 255.0 - MEAN[c]) / STD[c])
 }
 
+/// The 8-bit colour that [`imagenet_normalised`] gives these values.
+pub fn imagenet_restored(values: [f32; 3]) -> [u8; 3] {
+    std::array::from_fn(|c| (255.0 * (values[c] * STD[c] + MEAN[c])).round().clamp(0.0, 255.0) as u8)
+}
+
 impl CropBox {
     /// Box with the larger side of `tight` (an odd side loses a pixel), centred on it and shifted into the image.
     pub fn around(tight: &BoundingBox, width: u32, height: u32) -> Self {

@@ -17,7 +17,7 @@ mod prepare;
 mod selection;
 mod stream;
 
-pub use crop::imagenet_normalised;
+pub use crop::{imagenet_normalised, imagenet_restored};
 pub use dilation::dilated;
 pub use error::DataError;
 pub use label::overlap_share;

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use serde::{Deserialize, Serialize};
 use unopose_infer::{Evidence, Feature, logistic_regression};
-use unopose_nn::checkpoint::CheckpointError;
+use unopose_nn::checkpoint::{CheckpointError, metadata_value};
 
 /// Key of the checkpoint's metadata.
 const METADATA_KEY: &str = "match_score";
@@ -215,13 +215,7 @@ impl MatchScore {
         metadata: &BTreeMap<String, String>,
         path: &Path,
     ) -> Result<Option<Self>, CheckpointError> {
-        let Some(text) = metadata.get(METADATA_KEY) else { return Ok(None) };
-        serde_json::from_str(text).map(Some).map_err(|error| CheckpointError::Metadata {
-            path: path.to_owned(),
-            key: METADATA_KEY,
-            value: text.clone(),
-            expected: format!("a score of matches ({error})"),
-        })
+        metadata_value(metadata, METADATA_KEY, path, "a score of matches")
     }
 }
 

@@ -9,6 +9,7 @@ mod views;
 use std::path::Path;
 
 use burn::{module::Module, optim::GradientsParams};
+use rayon::prelude::*;
 use unopose_core::config::{ColorConfig, Config, ConfigError, ModelConfig, Precision};
 use unopose_nn::{checkpoint, model::Student};
 use unopose_pairs::data::{PairSampler, TrainSample};
@@ -70,8 +71,8 @@ impl<'a> DistilTask<'a> {
         let size = config.train.batch_size;
         let views = |first: usize| -> Result<PairViews, TrainError> {
             let last = (first + size).min(config.train.validation_pairs);
-            let samples =
-                (first..last).map(|i| sampler.sample(i as u64, false)).collect::<Result<Vec<_>, _>>()?;
+            let samples = (first..last).into_par_iter().map(|i| sampler.sample(i as u64, false));
+            let samples = samples.collect::<Result<Vec<_>, _>>()?;
             Ok(PairViews::new(&samples, &teacher, &preparation, config, &options.device))
         };
         let batches =

@@ -7,6 +7,7 @@ use image::{Rgb, RgbImage};
 use nalgebra::{DMatrix, DVector};
 use unopose_eval::report::overlay;
 use unopose_nn::model::{Student, ViewTensors};
+use unopose_pairs::data::imagenet_restored;
 
 use super::views::PairViews;
 use crate::TrainError;
@@ -19,8 +20,6 @@ const PAIRS: usize = 8;
 const HALF_POINT: i64 = 3;
 /// Standard deviations from the mean that the colours reach.
 const REACH: f64 = 2.0;
-const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
 /// One row of six tiles per pair: the two crops, and the points of both views coloured by the three strongest principal
 /// components of the teacher's and of the student's features; the components are those of both views of the pair together.
@@ -48,16 +47,12 @@ fn middle(image: &RgbImage) -> (f64, f64) {
 
 /// The crop of a pair as an image.
 fn crop(view: &ViewTensors, pair: usize) -> RgbImage {
-    let [_, channels, side, _] = view.images.dims();
+    let [_, _, side, _] = view.images.dims();
     let values: Vec<f32> = view.images.clone().narrow(0, pair, 1).into_data().iter::<f32>().collect();
     let plane = side * side;
     RgbImage::from_fn(side as u32, side as u32, |x, y| {
         let at = y as usize * side + x as usize;
-        let value = |c: usize| {
-            let value = values[c.min(channels - 1) * plane + at] * IMAGENET_STD[c] + IMAGENET_MEAN[c];
-            (255.0 * value).round().clamp(0.0, 255.0) as u8
-        };
-        Rgb([value(0), value(1), value(2)])
+        Rgb(imagenet_restored([0, 1, 2].map(|c| values[c * plane + at])))
     })
 }
 

@@ -35,11 +35,6 @@ impl Teacher {
             return Err(wrong("distil.points", config.distil.points, expected));
         }
         let network = load_transformer(path, image_size, device)?;
-        let patch = network.patch_size();
-        if !image_size.is_multiple_of(patch) {
-            let expected = format!("a multiple of {patch}, the side of the patches of {}", path.display());
-            return Err(wrong("distil.teacher_image_size", image_size, expected));
-        }
         let blocks = config.distil.teacher_blocks;
         if blocks > network.depth() {
             let expected = format!("at most {}, the blocks of {}", network.depth(), path.display());
@@ -53,7 +48,8 @@ impl Teacher {
         self.channels
     }
 
-    /// Patch tokens of crops `[B, 3, T, T]` after `distil.teacher_blocks` blocks, sampled bilinearly at the points: `[B, N, channels]`.
+    /// Patch tokens of crops `[B, 3, T, T]` after `distil.teacher_blocks` blocks, sampled bilinearly at the points:
+    /// `[B, N, channels]`.
     pub fn features(&self, images: Tensor<4>, choose: &PixelChoice) -> Tensor<3> {
         choose.sample_grid(self.network.tokens_after(images, self.blocks), self.image_size)
     }
