@@ -74,6 +74,14 @@ impl FrameSource for EllipsoidViews {
     }
 }
 
+/// Pose of the [`spheroid`] that is turned by `degrees`, its own frame to the camera's.
+pub fn spheroid_pose(degrees: f64) -> Pose {
+    // Its z axis upright, after a turn about it.
+    let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
+    Pose::new(*(upright * turn).to_rotation_matrix().matrix(), Vector3::new(0.0, 0.0, 0.6))
+}
+
 /// A view of a spheroid (half axes 5, 5 and 9 cm) that stands upright 0.6 m away and is turned about its axis by `degrees`; only
 /// its print, which repeats nowhere, tells by how much.
 pub fn spheroid(degrees: f64, printed: bool) -> (RgbdFrame, Mask) {
@@ -82,11 +90,7 @@ pub fn spheroid(degrees: f64, printed: bool) -> (RgbdFrame, Mask) {
     let depth = DepthMap { width, height, data: vec![0.9; (width * height) as usize] };
     let mut frame = RgbdFrame { rgb: image::RgbImage::new(width, height), depth, intrinsics };
     let mut mask = Mask::empty(width, height);
-    // Its z axis upright, after a turn about it.
-    let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
-    let rotation = *(upright * turn).to_rotation_matrix().matrix();
-    let pose = Pose::new(rotation, Vector3::new(0.0, 0.0, 0.6));
+    let pose = spheroid_pose(degrees);
     for row in 0..height {
         for col in 0..width {
             let ray = intrinsics.back_project(col.into(), row.into(), 1.0).coords;
