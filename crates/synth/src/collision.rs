@@ -1,5 +1,7 @@
 //! Shapes that objects collide with: a convex hull, or several where the object is hollow, bent or branched.
 
+use std::panic::catch_unwind;
+
 use nalgebra::{Point3, Vector3};
 use parry3d::transformation::{
     try_convex_hull,
@@ -17,6 +19,11 @@ const HULL_TOLERANCE: f32 = 3e-4;
 const SOLID: f64 = 0.8;
 /// Meshes with more faces keep their hull: the voxelisation would take seconds.
 const MOST_FACES: usize = 60_000;
+/// Voxels along the longest side of an object that is decomposed; the next where the one before fails.
+const RESOLUTIONS: [u32; 2] = [24, 29];
+
+/// Corners and faces of convex parts.
+type Hulls = Vec<(Vec<Point3<f32>>, Vec<[u32; 3]>)>;
 
 /// Convex hull that lies at most about [`HULL_TOLERANCE`] inside the mesh's own.
 pub(super) fn collision_hull(vertices: &[[f32; 3]]) -> Vec<Point3<f32>> {
@@ -30,13 +37,25 @@ pub(super) fn convex_parts(mesh: &TriangleMesh, hull: &[Point3<f32>]) -> Vec<Vec
         return Vec::new();
     }
     let points: Vec<Point3<f32>> = mesh.vertices.iter().map(|v| Point3::from(*v)).collect();
-    let parameters =
-        VHACDParameters { resolution: 24, concavity: 0.03, max_convex_hulls: 12, ..Default::default() };
-    let parts = VHACD::decompose(&parameters, &points, &mesh.faces, true);
-    let hulls = parts.compute_exact_convex_hulls(&points, &mesh.faces);
+    let Some(hulls) = RESOLUTIONS.iter().find_map(|&resolution| decompose(&points, &mesh.faces, resolution))
+    else {
+        return Vec::new();
+    };
     let vertices = |part: &[Point3<f32>]| part.iter().map(|p| p.coords.into()).collect::<Vec<[f32; 3]>>();
     let parts: Vec<_> = hulls.iter().map(|(part, _)| self::hull(&vertices(part), PART_DIRECTIONS)).collect();
     if parts.len() > 1 { parts } else { Vec::new() }
+}
+
+/// The hulls of a decomposition; `None` where the library cannot make one: its own hulls of a few voxels panic on some shapes.
+fn decompose(points: &[Point3<f32>], faces: &[[u32; 3]], resolution: u32) -> Option<Hulls> {
+    let parameters =
+        VHACDParameters { resolution, concavity: 0.03, max_convex_hulls: 12, ..Default::default() };
+    let decomposed = catch_unwind(|| {
+        VHACD::decompose(&parameters, points, faces, true).compute_exact_convex_hulls(points, faces)
+    });
+    decomposed
+        .inspect_err(|_| tracing::warn!("a shape cannot be decomposed with {resolution} voxels a side"))
+        .ok()
 }
 
 fn hull_volume(points: &[Point3<f32>]) -> f64 {

@@ -186,6 +186,24 @@ fn collision_hulls_enclose_their_meshes() {
 }
 
 #[test]
+fn a_shape_that_cannot_be_decomposed_at_first_is_decomposed_more_finely() {
+    // The library's hull of some of its voxels fails at 24 voxels a side.
+    let config =
+        SynthConfig { seed: 95, objects: 800, printed: 0.6, texture_size: 32, ..SynthConfig::default() };
+    let object = ObjectLibrary::new(&config).unwrap().build(1089);
+    assert!((2..=16).contains(&object.parts.len()), "{}: {} parts", object.name, object.parts.len());
+    // Together the parts reach as far as the hull in every direction.
+    let mut rng = stream(1, Domain::Scene, 0);
+    for _ in 0..200 {
+        let d = random::Draw::unit_vector(&mut rng);
+        let reach = |p: &Point3<f32>| p.coords.dot(&d);
+        let hull = object.hull.iter().map(reach).fold(f32::MIN, f32::max);
+        let parts = object.parts.iter().flatten().map(reach).fold(f32::MIN, f32::max);
+        assert!((hull - parts).abs() < 0.0015, "{} mm between them", 1000.0 * (hull - parts));
+    }
+}
+
+#[test]
 fn gathered_light_darkens_what_is_enclosed_and_keeps_open_ground() {
     let config = SynthConfig { distractors: [0, 0], bins: 0.0, shelves: 0.0, tumbling: 0.0, ..small() };
     let assets = assets(&config);
