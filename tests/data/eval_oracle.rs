@@ -8,7 +8,7 @@ use serde::Deserialize;
 use unopose_dataset::formats::{
     BopDataset, DatasetSplits, detections::read_detections, files::read_json, targets::read_targets,
 };
-use unopose_eval::eval::{Evaluation, RegionKind, ScoreFiles, coco_scores, score_files};
+use unopose_eval::metrics::{Evaluation, RegionKind, ScoreFiles, coco_scores, score_files};
 
 /// Any recall is a multiple of 1/406; the tables' own rounding can move a single instance over a threshold.
 const AR_TOLERANCE: f64 = 1e-3;

@@ -8,6 +8,7 @@ pub mod pytorch_file;
 pub mod readers;
 pub mod reference_tensors;
 pub mod sam_case;
+pub mod sam_network;
 mod set_readers;
 pub mod tensor_fixture;
 pub mod test_device;

@@ -15,7 +15,7 @@ use unopose_dataset::{
     },
     protocol::{TargetFiles, TargetList},
 };
-use unopose_eval::eval::{score_poses, write_poses};
+use unopose_eval::metrics::{score_poses, write_poses};
 use unopose_infer::{
     Estimate, InferError, PoseEstimator, Query, Refinement, estimate_targets, experiment::ReferenceColor,
 };

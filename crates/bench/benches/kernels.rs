@@ -1,6 +1,6 @@
 //! What every fused kernel of the CPU gains: `cargo bench --bench kernels [-- --config unopose] [--rounds 15] [KERNEL]`.
 //!
-//! A whole pair and a training pass, with the kernel and with its plain form, alternating; medians. The other kernels are on,
+//! A whole pair and a training pass, or (`--sam vit_b`) an image and one box by Segment Anything with random weights, with the kernel and with its plain form, alternating; medians. The other kernels are on,
 //! so a kernel that another one contains gains nothing where that one runs.
 
 use std::{sync::Arc, time::Instant};
@@ -13,7 +13,11 @@ use unopose_nn::{
     model::{UnoPose, fused::Kernel},
 };
 use unopose_pairs::data::{PairSampler, TrainSample};
-use unopose_tests::ellipsoid_views::EllipsoidViews;
+use unopose_segment::{Prompt, ProposalGenerator, SamProposals};
+use unopose_tests::{
+    ellipsoid_views::EllipsoidViews,
+    sam_network::{BOUNDS, frame, write_random},
+};
 use unopose_train::forward_backward;
 
 #[derive(Parser)]
@@ -24,6 +28,9 @@ struct Arguments {
     /// Change a configuration value.
     #[arg(long = "set", value_name = "PATH=VALUE")]
     overrides: Vec<String>,
+    /// Segment Anything instead of a pose network: vit_t (MobileSAM), vit_b, vit_l or vit_h.
+    #[arg(long)]
+    sam: Option<String>,
     /// Times that each form is measured.
     #[arg(long, default_value_t = 15)]
     rounds: usize,
@@ -66,6 +73,48 @@ fn with_and_without<'a>(kernel: Kernel, rounds: usize, prepare: &dyn Fn() -> Wor
 fn main() -> anyhow::Result<()> {
     keep_freed_memory();
     let arguments = Arguments::parse();
+    let rounds = arguments.rounds.max(1);
+    let wanted = arguments.filter.as_deref().unwrap_or_default();
+    let kernels = Kernel::ALL.iter().copied().filter(|kernel| kernel.name().contains(wanted));
+    match &arguments.sam {
+        Some(network) => segment_anything(network, rounds, kernels),
+        None => pose_network(&arguments, rounds, kernels),
+    }
+}
+
+/// Milliseconds with and without a kernel and what it gains.
+fn cells([with, without]: [f64; 2]) -> String {
+    let gain = 100.0 * (1.0 - with / without);
+    format!("{:.1} | {:.1} | {gain:.1}", 1e3 * with, 1e3 * without)
+}
+
+fn segment_anything(
+    network: &str,
+    rounds: usize,
+    kernels: impl Iterator<Item = Kernel>,
+) -> anyhow::Result<()> {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("sam.safetensors");
+    write_random(&path, network);
+    let sam = SamProposals::load(&path, &DeviceChoice::Flex.open()?.0)?;
+    let frame = frame();
+    let segment = || -> Work<'_> {
+        // Random weights may find nothing in the box.
+        Box::new(|| drop(sam.segment_prompt(&frame, Prompt::Box(BOUNDS))))
+    };
+    println!("{network}, {} threads\n", rayon::current_num_threads());
+    println!("| kernel | box ms | without | gain % |\n|--|--|--|--|");
+    for kernel in kernels {
+        println!("| `{}` | {} |", kernel.name(), cells(with_and_without(kernel, rounds, &segment)));
+    }
+    Ok(())
+}
+
+fn pose_network(
+    arguments: &Arguments,
+    rounds: usize,
+    kernels: impl Iterator<Item = Kernel>,
+) -> anyhow::Result<()> {
     let mut config = Config::embedded(&arguments.config, &arguments.overrides)?;
     config.data.min_overlap = 0.0; // of two views of the same few, some hardly overlap
     let (device, _) = DeviceChoice::Flex.open()?;
@@ -93,13 +142,7 @@ fn main() -> anyhow::Result<()> {
         samples.len()
     );
     println!("| kernel | pair ms | without | gain % | pass ms | without | gain % |\n|--|--|--|--|--|--|--|");
-    let rounds = arguments.rounds.max(1);
-    let cells = |[with, without]: [f64; 2]| {
-        let gain = 100.0 * (1.0 - with / without);
-        format!("{:.1} | {:.1} | {gain:.1}", 1e3 * with, 1e3 * without)
-    };
-    let wanted = arguments.filter.unwrap_or_default();
-    for &kernel in Kernel::ALL.iter().filter(|kernel| kernel.name().contains(&wanted)) {
+    for kernel in kernels {
         let pair = cells(with_and_without(kernel, rounds, &estimate));
         let pass = cells(with_and_without(kernel, rounds, &train));
         println!("| `{}` | {pair} | {pass} |", kernel.name());

@@ -3,7 +3,7 @@
 use std::{io::Write as _, path::Path};
 
 use unopose_core::files::write_atomic;
-use unopose_eval::eval::{Evaluation, paired_difference};
+use unopose_eval::metrics::{Evaluation, paired_difference};
 
 use super::{
     BenchError, Switches,

@@ -1,6 +1,6 @@
 //! Numbers as the cells of tables.
 
-use unopose_eval::eval::Interval;
+use unopose_eval::metrics::Interval;
 
 /// A share as percent with one digit.
 pub(crate) fn percent(share: f64) -> String {

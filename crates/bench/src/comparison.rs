@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 use unopose_dataset::protocol::TargetList;
-use unopose_eval::eval::{Evaluation, Interval, Scores, average_recall_interval, paired_difference};
+use unopose_eval::metrics::{Evaluation, Interval, Scores, average_recall_interval, paired_difference};
 
 use super::{
     facts::{ListFacts, OverlapBin, overlap_bins, skipped_by_reason},

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use unopose_core::files::FileError;
 use unopose_dataset::{formats::FormatError, mesh::MeshError, protocol::ProtocolError};
-use unopose_eval::{eval::EvalError, report::ReportError};
+use unopose_eval::{metrics::EvalError, report::ReportError};
 use unopose_nn::checkpoint::CheckpointError;
 use unopose_pairs::data::DataError;
 use unopose_segment::SegmentError;

@@ -10,7 +10,7 @@ use unopose_dataset::{
     protocol::TargetList,
 };
 use unopose_eval::{
-    eval::{Evaluation, TargetOutcome},
+    metrics::{Evaluation, TargetOutcome},
     report::overlay::{contact_sheet, cutout, pose_overlay, write_png},
 };
 

@@ -7,7 +7,7 @@ use unopose_dataset::{
     formats::ReferenceTarget,
     protocol::{SkippedDetection, TargetList},
 };
-use unopose_eval::eval::ROTATION_EDGES;
+use unopose_eval::metrics::ROTATION_EDGES;
 
 use super::UnoSegMasks;
 

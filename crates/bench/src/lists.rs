@@ -16,7 +16,7 @@ use unopose_dataset::{
     mesh::{self, TriangleMesh},
     protocol::{ListInput, Protocol, TargetList, build_lists},
 };
-use unopose_eval::eval::{RegionKind, coco_scores};
+use unopose_eval::metrics::{RegionKind, coco_scores};
 
 use super::{BenchError, DetectionSource, UnoSegMasks, facts::ListFacts, rendered::render_references};
 

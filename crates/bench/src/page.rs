@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use unopose_eval::eval::Interval;
+use unopose_eval::metrics::Interval;
 
 use super::{
     comparison::Comparison,

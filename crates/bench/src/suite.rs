@@ -3,7 +3,7 @@
 use std::{collections::BTreeSet, path::Path};
 
 use unopose_dataset::protocol::TargetList;
-use unopose_eval::eval::{score_poses, write_poses};
+use unopose_eval::metrics::{score_poses, write_poses};
 use unopose_pairs::registration::{PairEstimator, Refined, Refinement};
 
 use super::{

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use unopose_eval::eval::SegmentationScores;
+use unopose_eval::metrics::SegmentationScores;
 
 use super::{
     cells::{percent, seconds},

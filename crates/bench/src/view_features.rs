@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use unopose_core::{config::ModelConfig, files::write_atomic, frame::MaskedView, geometry::Pose};
 use unopose_dataset::formats::files::write_json;
-use unopose_eval::eval::{FeatureSimilarity, match_area};
+use unopose_eval::metrics::{FeatureSimilarity, match_area};
 use unopose_nn::{
     checkpoint::{self, load_transformer},
     model::{UnoPose, ViewTensors, VisionTransformer},

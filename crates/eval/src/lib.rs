@@ -1,4 +1,4 @@
 //! Scores of poses and masks from anywhere (VSD, MSSD, MSPD, COCO) and the figures and tables that show them. No tensors.
 
-pub mod eval;
+pub mod metrics;
 pub mod report;

@@ -16,7 +16,7 @@ use unopose_dataset::{
     formats::{megapose::ShardDataset, models::read_models_info},
     mesh,
 };
-use unopose_eval::eval::{EvalObject, print_decided_objects};
+use unopose_eval::metrics::{EvalObject, print_decided_objects};
 use unopose_pairs::data::PairSampler;
 use unopose_synth::{Stage, SynthError};
 

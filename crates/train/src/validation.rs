@@ -9,7 +9,7 @@ use burn::tensor::Device;
 use rayon::prelude::*;
 use unopose_core::{config::Config, geometry::Pose, interrupt::Interrupt};
 use unopose_dataset::formats::{FormatError, ObjectSymmetries};
-use unopose_eval::eval::{EvalObject, PoseErrors, TestView};
+use unopose_eval::metrics::{EvalObject, PoseErrors, TestView};
 use unopose_infer::{InferError, PairEstimate, Uniforms, estimate_pairs};
 use unopose_nn::{
     loss::pair_losses,

@@ -7,7 +7,7 @@ use clap::Args;
 use unopose_bench::analysis::{analyse, calibrate, judged, write_reliability};
 use unopose_cli::{DeviceOption, say};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
-use unopose_eval::eval::Reliability;
+use unopose_eval::metrics::Reliability;
 use unopose_infer::{PoseCriterion, PoseEstimator};
 use unopose_nn::checkpoint;
 

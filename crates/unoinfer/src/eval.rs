@@ -7,7 +7,7 @@ use clap::Args;
 use unopose_bench::{DetectionSource, ListRequest};
 use unopose_cli::{say, tell};
 use unopose_dataset::protocol::{TargetFiles, TargetList};
-use unopose_eval::eval::{EvalError, score_poses, write_poses};
+use unopose_eval::metrics::{EvalError, score_poses, write_poses};
 use unopose_infer::{
     PoseEstimator, Refinement, estimate_targets,
     experiment::{ReferenceColor, untrained},

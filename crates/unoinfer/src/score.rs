@@ -12,7 +12,7 @@ use unopose_dataset::{
     formats::{detections::read_detections, files::write_json, targets::read_annotated_targets},
     protocol::{TargetList, UsableDetections},
 };
-use unopose_eval::eval::{
+use unopose_eval::metrics::{
     AverageRecall, CocoScores, Evaluation, InputReport, Interval, RegionKind, ScoreFiles,
     average_recall_interval, coco_scores, error_type_intervals, score_files,
 };

@@ -8,7 +8,7 @@ use unopose_dataset::formats::{
     detections::write_detections,
     targets::{read_reference_targets, read_targets},
 };
-use unopose_eval::eval::{SegmentationScores, score_segmentation};
+use unopose_eval::metrics::{SegmentationScores, score_segmentation};
 use unopose_segment::{Matcher, ObjectViews, ProposalGenerator, Templates, UnoSeg, segment_targets};
 
 use super::progress::ProgressDisplay;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use unopose_dataset::formats::files::write_json;
 use unopose_eval::{
-    eval::Reliability,
+    metrics::Reliability,
     report::{Curve, Panel, write_curves},
 };
 use unopose_infer::{Calibration, PoseCriterion};

@@ -2,7 +2,7 @@
 
 use unopose_core::files::FileError;
 use unopose_dataset::formats::FormatError;
-use unopose_eval::{eval::EvalError, report::ReportError};
+use unopose_eval::{metrics::EvalError, report::ReportError};
 use unopose_infer::InferError;
 use unopose_nn::checkpoint::CheckpointError;
 

@@ -4,7 +4,7 @@ use std::{io::Write as _, path::Path};
 
 use unopose_core::files::write_atomic;
 use unopose_dataset::formats::files::write_json;
-use unopose_eval::eval::{ROTATION_EDGES, VISIBILITY_EDGES};
+use unopose_eval::metrics::{ROTATION_EDGES, VISIBILITY_EDGES};
 
 use super::{
     AnalysisError, PairRecord,

@@ -1,7 +1,7 @@
 //! One pair's stages against its true pose.
 
 use unopose_core::geometry::{Pose, nearest_distances};
-use unopose_eval::eval::EvalObject;
+use unopose_eval::metrics::EvalObject;
 use unopose_infer::{
     CloudPair, InferError, Matched, PoseEstimator, Query, Trace, refine_with, sparse_points,
 };

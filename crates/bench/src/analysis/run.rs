@@ -11,7 +11,7 @@ use unopose_dataset::{
     formats::{BopScene, FormatError, ReferenceTarget, detections::Detection},
     protocol::TargetList,
 };
-use unopose_eval::eval::{EvalObject, PoseErrors, TestView};
+use unopose_eval::metrics::{EvalObject, PoseErrors, TestView};
 use unopose_infer::{
     InferError, PoseCriterion, PoseEstimator, Query, TargetReferences, experiment::ReferenceColor,
 };

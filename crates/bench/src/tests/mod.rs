@@ -29,7 +29,7 @@ use unopose_dataset::{
     mesh::{TriangleMesh, ply},
     protocol::{TargetFiles, TargetList},
 };
-use unopose_eval::eval::score_poses;
+use unopose_eval::metrics::score_poses;
 use unopose_pairs::registration::{PairEstimator, PairPose, Refined, Refinement, RegistrationError};
 
 use super::{comparison::Comparison, examples::Examples, report::write_report, run::run_method, *};

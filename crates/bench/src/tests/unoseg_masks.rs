@@ -6,7 +6,7 @@ use unopose_dataset::{
     formats::{DatasetSplits, Target, detections::read_detections},
     protocol::Protocol,
 };
-use unopose_eval::eval::score_segmentation;
+use unopose_eval::metrics::score_segmentation;
 use unopose_pairs::registration::Refinement;
 
 use super::{super::*, Shift, write_dataset};

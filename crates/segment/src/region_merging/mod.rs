@@ -62,6 +62,31 @@ fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
     distinct(proposals)
 }
 
+/// Where an image may show objects.
+pub(super) struct ObjectCells {
+    grid: Grid,
+    cells: Vec<bool>,
+}
+
+impl ObjectCells {
+    /// Everything but the background planes, and what lies on these in another colour; `None` without any measured depth.
+    pub fn new(frame: &RgbdFrame) -> Option<Self> {
+        let mut grid = Grid::new(frame, SIDE);
+        if !(0..grid.len()).any(|cell| grid.measured(cell)) {
+            return None;
+        }
+        let background = fill_and_background(&mut grid);
+        let flat = patches::flat_patches(&grid, &background);
+        let cells = background.iter().zip(flat).map(|(&behind, flat)| !behind || flat).collect();
+        Some(Self { grid, cells })
+    }
+
+    /// Whether a pixel may belong to an object.
+    pub fn contains(&self, col: u32, row: u32) -> bool {
+        self.cells[self.grid.cell_of(col, row)]
+    }
+}
+
 /// Best first, without those that a better one nearly equals.
 fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
     proposals.sort_by(|a, b| b.score.total_cmp(&a.score));

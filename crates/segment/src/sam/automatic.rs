@@ -1,9 +1,9 @@
-//! Masks of everything in an image: point prompts on a grid, of whose masks the good, stable and distinct ones stay.
+//! Masks of everything in an image: point prompts on a grid, of whose masks the good, stable and distinct ones stay. Where
+//! depth shows a background plane, nothing is asked for.
 
 use burn::tensor::{Device, Tensor};
-use image::RgbImage;
 use rayon::prelude::*;
-use unopose_core::frame::BoundingBox;
+use unopose_core::frame::{BoundingBox, RgbdFrame};
 use unopose_dataset::formats::rle::Rle;
 use unopose_infer::InferError;
 
@@ -13,7 +13,9 @@ use super::{
     pillow::resized,
     resize::ResizeLongestSide,
 };
-use crate::{MAX_PROPOSALS, Proposal, SegmentError, assignment::non_maximum_suppression};
+use crate::{
+    MAX_PROPOSALS, Proposal, SegmentError, assignment::non_maximum_suppression, region_merging::ObjectCells,
+};
 
 /// Width to which images are resized first.
 const WIDTH: u32 = 640;
@@ -41,20 +43,25 @@ struct Candidate {
     bounds: BoundingBox,
 }
 
-/// Proposals of an image by descending predicted overlap, from `side x side` points.
+/// Proposals of an image by descending predicted overlap, from the [`prompts`] among `side x side` points.
 pub fn proposals(
     network: &Sam,
-    rgb: &RgbImage,
+    frame: &RgbdFrame,
     side: usize,
     device: &Device,
 ) -> Result<Vec<Proposal>, SegmentError> {
+    let prompts = prompts(frame, side);
+    if prompts.is_empty() {
+        return Ok(Vec::new());
+    }
+    let rgb = &frame.rgb;
     let own = [rgb.width(), rgb.height()];
     let working = working_size(own);
     let image = resized(rgb, working[0], working[1]);
     let resize = ResizeLongestSide::new(working[0], working[1], network.image_size() as u32);
     let embedding = network.encode(resize.tensor(&image, device));
     let mut candidates = Vec::new();
-    for batch in grid(side).chunks(POINTS_PER_BATCH) {
+    for batch in prompts.chunks(POINTS_PER_BATCH) {
         let points: Vec<[f64; 2]> = batch
             .iter()
             .map(|&[x, y]| resize.point([x * f64::from(working[0]), y * f64::from(working[1])]))
@@ -85,6 +92,16 @@ fn working_size([width, height]: [u32; 2]) -> [u32; 2] {
 fn grid(side: usize) -> Vec<[f64; 2]> {
     let at = |index: usize| (index as f64 + 0.5) / side as f64;
     (0..side).flat_map(|row| (0..side).map(move |column| [at(column), at(row)])).collect()
+}
+
+/// Those of the [`grid`] that are not on a background plane of the depth image; all of them without depth.
+fn prompts(frame: &RgbdFrame, side: usize) -> Vec<[f64; 2]> {
+    let mut points = grid(side);
+    if let Some(objects) = ObjectCells::new(frame) {
+        let pixel = |share: f64, pixels: u32| (share * f64::from(pixels)) as u32;
+        points.retain(|&[x, y]| objects.contains(pixel(x, frame.width()), pixel(y, frame.height())));
+    }
+    points
 }
 
 /// The good and stable ones of the three masks of each point.
@@ -146,7 +163,11 @@ pub(super) fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, InferErr
 
 #[cfg(test)]
 mod tests {
-    use unopose_core::frame::Mask;
+    use image::RgbImage;
+    use unopose_core::{
+        frame::{DepthMap, Mask},
+        geometry::Intrinsics,
+    };
 
     use super::*;
 
@@ -175,6 +196,33 @@ mod tests {
         assert_eq!(kept, [0.95, 0.92]);
         let pair = vec![candidate(0.90, [10, 31], [10, 31]), candidate(0.95, [10, 25], [10, 31])];
         assert_eq!(distinct(pair, [100, 100]).len(), 2);
+    }
+
+    /// A table with a box of 40 x 40 pixels and a card of 20 x 20 pixels that lies flat on it.
+    #[test]
+    fn prompts_are_what_is_not_the_table() {
+        let (width, height) = (160, 120);
+        let inside = |x: u32, y: u32, left: u32, side: u32| {
+            (left..left + side).contains(&x) && (20..20 + side).contains(&y)
+        };
+        let rgb = RgbImage::from_fn(width, height, |x, y| match inside(x, y, 100, 20) {
+            true => image::Rgb([200, 30, 30]),
+            false => image::Rgb([120, 120, 120]),
+        });
+        let depth = (0..width * height).map(|i| match inside(i % width, i / width, 20, 40) {
+            true => 0.8,
+            false => 1.0,
+        });
+        let depth = DepthMap { width, height, data: depth.collect() };
+        let intrinsics = Intrinsics { fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
+        let mut frame = RgbdFrame { rgb, depth, intrinsics };
+        // Points are 10 x 7.5 pixels apart: 4 x 5 on the box, 2 x 2 on the card.
+        let found = prompts(&frame, 16);
+        let pixels = found.iter().map(|[x, y]| [x * 160.0, y * 120.0]);
+        let on = |low: f64, high: f64| pixels.clone().filter(|[x, _]| (low..high).contains(x)).count();
+        assert_eq!((on(20.0, 60.0), on(100.0, 120.0), found.len()), (20, 4, 24));
+        frame.depth = DepthMap::zeros(width, height);
+        assert_eq!(prompts(&frame, 16).len(), 256);
     }
 
     #[test]

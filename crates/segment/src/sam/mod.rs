@@ -39,7 +39,7 @@ use mask_pixels::thresholded;
 /// Points per side of the grid of the automatic masks unless another number is asked for, as in the original.
 pub const POINTS_PER_SIDE: usize = 32;
 
-/// Proposals by Segment Anything; depth is not looked at.
+/// Proposals by Segment Anything; depth only says where to ask for none.
 pub struct SamProposals {
     network: Sam,
     device: Device,
@@ -75,8 +75,13 @@ impl ProposalGenerator for SamProposals {
         format!("{}-{}", self.weights, self.points_per_side)
     }
 
+    /// The number counts the versions of what is proposed.
+    fn fingerprint(&self) -> String {
+        format!("{} 2", self.name())
+    }
+
     fn proposals(&self, frame: &RgbdFrame, _: Option<ImageKey>) -> Result<Vec<Proposal>, SegmentError> {
-        automatic::proposals(&self.network, &frame.rgb, self.points_per_side, &self.device)
+        automatic::proposals(&self.network, frame, self.points_per_side, &self.device)
     }
 
     /// The best of three masks for a point; the one mask for a box, which is not ambiguous.

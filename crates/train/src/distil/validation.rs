@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 use unopose_core::config::Config;
-use unopose_eval::eval::{FeatureSimilarity, match_area};
+use unopose_eval::metrics::{FeatureSimilarity, match_area};
 use unopose_nn::model::Student;
 
 use super::views::PairViews;
