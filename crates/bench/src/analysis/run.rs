@@ -93,7 +93,14 @@ pub fn analyse(
         let trace = match estimator.trace(&query) {
             Ok(trace) => trace,
             Err(error @ (InferError::Query(_) | InferError::NotFinite)) => {
-                tracing::warn!("{target:?}: {error}");
+                tracing::warn!(
+                    "scene {} image {} object {}, reference scene {} image {}: {error}",
+                    target.scene_id,
+                    target.im_id,
+                    target.obj_id,
+                    target.ref_scene_id,
+                    target.ref_im_id
+                );
                 continue;
             }
             Err(error) => return Err(error.into()),
