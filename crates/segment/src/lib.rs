@@ -14,6 +14,7 @@ mod error;
 mod generator;
 mod geometric;
 mod lab;
+mod learned;
 mod listed;
 mod matcher;
 mod objects;
@@ -34,10 +35,11 @@ pub use geometric::{
     GeometricMatcher, GeometricObject, MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PosedProposal,
     PresenceReport, RIGHT_IOU,
 };
+pub use learned::{LearnedProposals, MaskEvidence, Objectness, ObservedMask};
 pub use listed::ListedProposals;
 pub use matcher::{Comparison, Matcher};
 pub use objects::{ObjectKey, ObjectViews};
-pub use observe::observe_matches;
+pub use observe::{observe_masks, observe_matches};
 pub use prompt::Prompt;
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal};
 pub use region_merging::RegionProposals;

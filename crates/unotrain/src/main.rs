@@ -19,7 +19,9 @@ use unopose_core::{
 };
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
-use unopose_train::{StopReason, TrainOptions, TrainOutcome, ValidationRecord, distil, train, train_proposals};
+use unopose_train::{
+    StopReason, TrainOptions, TrainOutcome, ValidationRecord, distil, train, train_proposals,
+};
 
 use progress::ProgressBars;
 
@@ -257,7 +259,8 @@ fn feature_table(records: &[&ValidationRecord]) -> Table {
 }
 
 fn proposal_table(records: &[&ValidationRecord]) -> Table {
-    let columns = ["validation", "loss", "recall at 0.5", "recall at 0.75", "mean overlap", "proposals per image"];
+    let columns =
+        ["validation", "loss", "recall at 0.5", "recall at 0.75", "mean overlap", "proposals per image"];
     let mut table = Table::new(columns);
     for record in records {
         let Some(recall) = &record.proposals else { continue };

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The proposal network and its loss (`docs/network.md`, section 14).
+/// The proposal network and its loss (`docs/network.md`, section 13).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ProposalConfig {

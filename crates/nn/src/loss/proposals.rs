@@ -1,4 +1,4 @@
-//! What the proposal network is to minimise (`docs/network.md`, section 14).
+//! What the proposal network is to minimise (`docs/network.md`, section 13).
 
 use burn::tensor::{Device, Tensor, TensorData, activation::log_sigmoid, activation::log_softmax};
 use unopose_core::config::ProposalConfig;

@@ -1,4 +1,4 @@
-//! The network that proposes objects (`docs/network.md`, section 14), in the spirit of unseen-object segmentation from synthetic
+//! The network that proposes objects (`docs/network.md`, section 13), in the spirit of unseen-object segmentation from synthetic
 //! RGB-D (Xie et al., "Unseen Object Instance Segmentation for Robotic Environments", 2021: votes for the objects' centres in
 //! 3-D): a small U-Net with a stream for depth and one for colour.
 
@@ -139,13 +139,8 @@ fn head(input: usize, init: &mut Initializer) -> Conv2d {
 /// Every cell twice along both axes: `[B, C, H, W] -> [B, C, 2 H, 2 W]`.
 fn doubled(x: Tensor<4>) -> Tensor<4> {
     let [batch, channels, height, width] = x.dims();
-    let wide: Tensor<5> = x.reshape([batch * channels, height, 1, width, 1]).expand([
-        batch * channels,
-        height,
-        2,
-        width,
-        2,
-    ]);
+    let wide: Tensor<5> =
+        x.reshape([batch * channels, height, 1, width, 1]).expand([batch * channels, height, 2, width, 2]);
     wide.reshape([batch, channels, 2 * height, 2 * width])
 }
 

@@ -30,7 +30,7 @@ pub use prepare::{
     prepare_reference, query_from_points, reference_from_points,
 };
 pub use scene::{
-    CLASSES, GEOMETRY_CHANNELS, INPUT_CHANNELS, ProposalMaps, SceneInput, SceneInstance, SceneSample, SceneSampler,
-    SceneTarget, scene_instances,
+    CLASSES, GEOMETRY_CHANNELS, INPUT_CHANNELS, ProposalMaps, SceneInput, SceneInstance, SceneSample,
+    SceneSampler, SceneTarget, scene_instances,
 };
 pub use stream::{BatchStream, SampleSource};

@@ -48,13 +48,7 @@ struct State<T> {
 impl<S: SampleSource> BatchStream<S> {
     /// Starts `workers` threads (at least 1) that keep up to `ahead` batches beyond the current one prepared, from
     /// sample `start_index` on.
-    pub fn new(
-        sampler: Arc<S>,
-        start_index: u64,
-        batch: usize,
-        workers: usize,
-        ahead: usize,
-    ) -> Self {
+    pub fn new(sampler: Arc<S>, start_index: u64, batch: usize, workers: usize, ahead: usize) -> Self {
         let batch = batch.max(1);
         let shared = Arc::new(Shared {
             state: Mutex::new(State {

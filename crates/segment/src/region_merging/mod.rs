@@ -49,7 +49,7 @@ impl ProposalGenerator for RegionProposals {
     }
 }
 
-fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
+pub(crate) fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
     let mut grid = Grid::new(frame, SIDE);
     let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
@@ -63,7 +63,7 @@ fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
 }
 
 /// Best first, without those that a better one nearly equals.
-fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
+pub(crate) fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
     proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut kept: Vec<Proposal> = Vec::new();
     for proposal in proposals {

@@ -1,4 +1,4 @@
-//! Training of the network that proposes masks of unknown objects (`docs/network.md`, section 14).
+//! Training of the network that proposes masks of unknown objects (`docs/network.md`, section 13).
 
 mod picture;
 mod validation;

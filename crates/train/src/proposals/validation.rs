@@ -127,6 +127,9 @@ mod tests {
         let overlaps = best_overlaps(&instances, &[1, 2, 3], &found);
         assert_eq!(overlaps, [0.75, 0.5]);
         let recall = recall(&overlaps, 3.0);
-        assert_eq!((recall.objects, recall.recall_50, recall.recall_75, recall.mean_iou), (2, 1.0, 0.5, 0.625));
+        assert_eq!(
+            (recall.objects, recall.recall_50, recall.recall_75, recall.mean_iou),
+            (2, 1.0, 0.5, 0.625)
+        );
     }
 }

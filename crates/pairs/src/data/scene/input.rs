@@ -106,7 +106,8 @@ impl SceneInput {
 
     /// The cell that shows a pixel.
     pub fn cell_of(&self, col: u32, row: u32) -> usize {
-        let at = |pixel: u32, axis: usize| ((f64::from(pixel) / self.step) as usize).min(self.shown[axis] - 1);
+        let at =
+            |pixel: u32, axis: usize| ((f64::from(pixel) / self.step) as usize).min(self.shown[axis] - 1);
         at(row, 1) * self.width + at(col, 0)
     }
 
@@ -208,7 +209,8 @@ impl SceneInput {
     /// Unit, towards the camera.
     fn normal(&self, smooth: &[Vec<f32>], cell: usize) -> [f32; 3] {
         let (col, row) = (cell % self.width, cell / self.width);
-        let tangent = |a: usize, b: usize| -> [f32; 3] { std::array::from_fn(|i| smooth[i][b] - smooth[i][a]) };
+        let tangent =
+            |a: usize, b: usize| -> [f32; 3] { std::array::from_fn(|i| smooth[i][b] - smooth[i][a]) };
         let (left, right) = (col.saturating_sub(TANGENT), (col + TANGENT).min(self.shown[0] - 1));
         let (up, down) = (row.saturating_sub(TANGENT), (row + TANGENT).min(self.shown[1] - 1));
         let u = tangent(row * self.width + left, row * self.width + right);
@@ -236,9 +238,9 @@ impl SceneInput {
             let (top, bottom) = (row.saturating_sub(half), (row + half + 1).min(rows));
             for col in 0..columns {
                 let (left, right) = (col.saturating_sub(half), (col + half + 1).min(columns));
-                let sum = sums[bottom * stride + right] - sums[top * stride + right]
-                    - sums[bottom * stride + left]
-                    + sums[top * stride + left];
+                let sum =
+                    sums[bottom * stride + right] - sums[top * stride + right] - sums[bottom * stride + left]
+                        + sums[top * stride + left];
                 means[row * self.width + col] = (sum / ((bottom - top) * (right - left)) as f64) as f32;
             }
         }
@@ -276,7 +278,11 @@ mod tests {
             *value = z(i as u32 % width, i as u32 / width);
         }
         let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 31.5, cy: 15.5 };
-        RgbdFrame { rgb: image::RgbImage::from_pixel(width, height, image::Rgb([51, 102, 255])), depth, intrinsics }
+        RgbdFrame {
+            rgb: image::RgbImage::from_pixel(width, height, image::Rgb([51, 102, 255])),
+            depth,
+            intrinsics,
+        }
     }
 
     #[test]

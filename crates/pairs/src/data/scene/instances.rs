@@ -1,4 +1,4 @@
-//! Instances from what the proposal network says of an image (`docs/network.md`, section 14).
+//! Instances from what the proposal network says of an image (`docs/network.md`, section 13).
 //!
 //! Each foreground cell votes for the centre of its instance. The votes are clustered by mean shift at several bandwidths: large
 //! objects scatter their votes more widely than small ones do. Cells of one cluster that hang together without the boundary

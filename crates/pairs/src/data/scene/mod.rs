@@ -1,4 +1,4 @@
-//! Whole images as the proposal network takes them (`docs/network.md`, section 14): the grid of inputs, what it is to learn of
+//! Whole images as the proposal network takes them (`docs/network.md`, section 13): the grid of inputs, what it is to learn of
 //! an annotated image, the stream of training images, and instances from what the network answers.
 
 mod input;

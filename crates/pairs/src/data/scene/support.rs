@@ -82,7 +82,10 @@ mod tests {
         let off = (0..100).map(|i| [0.01 * (i % 10) as f32, 0.3, 0.5 + 0.002 * i as f32]);
         let points: Vec<[f32; 3]> = on.chain(off).collect();
         let plane = SupportPlane::fit(&points).unwrap();
-        assert!((plane.normal.z.abs() - 1.0).abs() < 1e-4 && (plane.offset.abs() - 0.8).abs() < 1e-3, "{plane:?}");
+        assert!(
+            (plane.normal.z.abs() - 1.0).abs() < 1e-4 && (plane.offset.abs() - 0.8).abs() < 1e-3,
+            "{plane:?}"
+        );
         assert!(plane.contains([3.0, -2.0, 0.801]) && !plane.contains([0.0, 0.0, 0.82]));
         assert!(SupportPlane::fit(&points[..2]).is_none());
     }

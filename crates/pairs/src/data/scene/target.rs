@@ -149,7 +149,13 @@ mod tests {
         let mut mask = Mask::empty(width, height);
         for i in 0..(width * height) {
             let (col, row) = (i % width, i / width);
-            depth.data[i as usize] = if block(col, row) { 0.9 } else if col >= 28 { 1.5 } else { 1.0 };
+            depth.data[i as usize] = if block(col, row) {
+                0.9
+            } else if col >= 28 {
+                1.5
+            } else {
+                1.0
+            };
             mask.data[i as usize] = block(col, row);
         }
         let intrinsics = Intrinsics { fx: 50.0, fy: 50.0, cx: 16.0, cy: 16.0 };
@@ -167,7 +173,10 @@ mod tests {
         assert!(!target.boundary[at(12, 10)] && target.boundary[at(10, 8)]);
         // 25 cells: sqrt(400 / 25) = 4.
         assert_eq!((target.weights[at(12, 10)], target.weights[at(3, 3)]), (4.0, 1.0));
-        assert_eq!([at(10, 8), at(12, 10), at(3, 3)].map(|cell| target.boundary_weights[cell]), [3.0, 1.0, 0.3]);
+        assert_eq!(
+            [at(10, 8), at(12, 10), at(3, 3)].map(|cell| target.boundary_weights[cell]),
+            [3.0, 1.0, 0.3]
+        );
         // Without objects the plane of the whole image is the support.
         let empty = SceneTarget::new(&input, &[]);
         assert!(empty.classes[at(5, 5)] == 1 && empty.classes.iter().all(|&class| class > 0));
