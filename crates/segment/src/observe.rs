@@ -8,6 +8,7 @@ use unopose_dataset::formats::{BopScene, BopSplit, FormatError, ReferenceTarget}
 use super::{
     GeometricMatcher, LearnedProposals, ObservedMask, ObservedMatch, ProposalGenerator, SegmentError,
     objects::{ObjectCache, ObjectViews},
+    recall::annotated_images,
 };
 
 /// Searches the images of a target list for the objects of their targets and for as many others of the list that they do not
@@ -57,12 +58,7 @@ pub fn observe_masks(
     limit: usize,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<ObservedMask>, SegmentError> {
-    let mut images = Vec::new();
-    for &scene_id in split.scene_ids() {
-        let scene = split.scene(scene_id)?;
-        images.extend(scene.image_ids().filter(|&im| scene.is_annotated(im)).map(|im| (scene_id, im)));
-    }
-    images.truncate(limit);
+    let images = annotated_images(split, limit)?;
     let mut observed = Vec::new();
     for (image, &(scene_id, im_id)) in images.iter().enumerate() {
         progress(image, images.len());

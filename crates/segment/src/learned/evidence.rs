@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use unopose_pairs::data::{ProposalMaps, SceneInput};
 
 /// Steps from the mask that the ring around it reaches, cells.
-const RING: usize = 3;
+const RING: u8 = 3;
 /// Votes within this share of a mask's radius from its centre agree with it.
 const AGREE: f32 = 0.5;
 
@@ -82,7 +82,7 @@ impl<'a> SceneEvidence<'a> {
         if cells.is_empty() {
             return MaskEvidence::default();
         }
-        let mut steps = vec![usize::MAX; self.input.len()];
+        let mut steps = vec![u8::MAX; self.input.len()];
         cells.iter().for_each(|&cell| steps[cell as usize] = 0);
         let mut front: Vec<usize> = cells.iter().map(|&cell| cell as usize).collect();
         let mut ring = Vec::new();
@@ -90,7 +90,7 @@ impl<'a> SceneEvidence<'a> {
             let mut next = Vec::new();
             for &cell in &front {
                 for other in self.input.neighbors(cell) {
-                    if steps[other] == usize::MAX {
+                    if steps[other] == u8::MAX {
                         steps[other] = step;
                         next.push(other);
                     }

@@ -12,6 +12,7 @@ pub use objectness::{Objectness, ObservedMask};
 use std::path::Path;
 
 use burn::tensor::Device;
+use rayon::prelude::*;
 use unopose_checkpoints::PROPOSALS;
 use unopose_core::{
     config::ProposalConfig,
@@ -26,7 +27,7 @@ use unopose_pairs::data::{SceneInput, scene_instances};
 
 use super::{
     ImageKey, Proposal, ProposalGenerator, SegmentError,
-    region_merging::{distinct, propose},
+    region_merging::{all_candidates, distinct, propose},
 };
 use evidence::{Origin, SceneEvidence};
 
@@ -84,11 +85,12 @@ impl LearnedProposals {
             all.extend(Proposal::new(mask, instance.score).map(|proposal| (proposal, evidence)));
         }
         if self.regions {
-            for proposal in propose(frame) {
+            let regions = all_candidates(frame).into_par_iter().map(|proposal| {
                 let cells = grid_cells(&input, &proposal.mask);
                 let evidence = scene.of(&cells, Origin::Regions, proposal.score);
-                all.push((proposal, evidence));
-            }
+                (proposal, evidence)
+            });
+            all.par_extend(regions);
         }
         Ok(all)
     }

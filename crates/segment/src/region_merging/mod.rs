@@ -50,6 +50,11 @@ impl ProposalGenerator for RegionProposals {
 }
 
 pub(crate) fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
+    distinct(all_candidates(frame))
+}
+
+/// The best nodes of every partition's merge trees, some of them nearly equal.
+pub(crate) fn all_candidates(frame: &RgbdFrame) -> Vec<Proposal> {
     let mut grid = Grid::new(frame, SIDE);
     let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
@@ -59,7 +64,7 @@ pub(crate) fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
         proposals.extend(candidates(&grid, &solid, color, &hierarchy::STRATEGIES, 1.0));
     }
     proposals.extend(candidates(&grid, &flat, COLOR_WEIGHTS[0], &[hierarchy::COLOR_FIRST], FLAT));
-    distinct(proposals)
+    proposals
 }
 
 /// Best first, without those that a better one nearly equals.
