@@ -48,7 +48,7 @@ pub fn mean_shift(points: &[[f32; 3]], bandwidth: f32, least: usize) -> MeanShif
         }
     }
     // Stable: of equal ones the first in the order of the cubes.
-    found.sort_by(|a, b| b.0.cmp(&a.0));
+    found.sort_by_key(|(mass, _)| std::cmp::Reverse(*mass));
     let mut modes: Vec<[f32; 3]> = Vec::new();
     for (_, mode) in found {
         if modes.iter().all(|&kept| distance(kept, mode) >= bandwidth) {
