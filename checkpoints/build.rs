@@ -1,9 +1,11 @@
-//! Says whether there is a checkpoint to embed.
+//! Says which checkpoints there are to embed.
 
 fn main() {
-    println!("cargo::rerun-if-changed=geo.safetensors");
-    println!("cargo::rustc-check-cfg=cfg(has_geo)");
-    if std::path::Path::new("geo.safetensors").is_file() {
-        println!("cargo::rustc-cfg=has_geo");
+    for name in ["geo", "proposals"] {
+        println!("cargo::rerun-if-changed={name}.safetensors");
+        println!("cargo::rustc-check-cfg=cfg(has_{name})");
+        if std::path::Path::new(&format!("{name}.safetensors")).is_file() {
+            println!("cargo::rustc-cfg=has_{name}");
+        }
     }
 }

@@ -5,5 +5,6 @@ mod distil;
 mod estimator;
 mod kills;
 mod overfit;
+mod proposals;
 mod run;
 mod small_runs;

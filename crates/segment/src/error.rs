@@ -43,6 +43,14 @@ pub enum SegmentError {
     /// Weights cannot be read or do not fit their network.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// There are no weights of the proposal network in the program.
+    #[error(
+        "the program was built without checkpoints/proposals.safetensors, expected weights: --proposals learned:FILE or both:FILE"
+    )]
+    NoProposalWeights,
+    /// An image cannot be given to the proposal network.
+    #[error("learned proposals: {0}")]
+    Scene(#[from] unopose_pairs::data::DataError),
     /// The device cannot be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),

@@ -14,12 +14,14 @@ mod error;
 mod generator;
 mod geometric;
 mod lab;
+mod learned;
 mod listed;
 mod matcher;
 mod objects;
 mod observe;
 mod prompt;
 mod proposal;
+mod recall;
 mod region_merging;
 pub mod sam;
 mod templates;
@@ -34,12 +36,14 @@ pub use geometric::{
     GeometricMatcher, GeometricObject, MatchEvidence, MatchFeature, MatchScore, ObservedMatch, PosedProposal,
     PresenceReport, RIGHT_IOU,
 };
+pub use learned::{LearnedProposals, MaskEvidence, Objectness, ObservedMask};
 pub use listed::ListedProposals;
 pub use matcher::{Comparison, Matcher};
 pub use objects::{ObjectKey, ObjectViews};
-pub use observe::observe_matches;
+pub use observe::{observe_masks, observe_matches};
 pub use prompt::Prompt;
 pub use proposal::{ImageKey, MAX_PROPOSALS, Proposal};
+pub use recall::{ProposalScores, proposal_scores};
 pub use region_merging::RegionProposals;
 pub use sam::SamProposals;
 pub use templates::Templates;

@@ -1,4 +1,4 @@
-//! Searches whose outcome is known, for fitting the score of matches.
+//! Searches and proposals whose outcome is known, for fitting the score of matches and the rank of proposals.
 
 use std::collections::BTreeSet;
 
@@ -6,8 +6,9 @@ use unopose_core::frame::Mask;
 use unopose_dataset::formats::{BopScene, BopSplit, FormatError, ReferenceTarget};
 
 use super::{
-    GeometricMatcher, ObservedMatch, ProposalGenerator, SegmentError,
+    GeometricMatcher, LearnedProposals, ObservedMask, ObservedMatch, ProposalGenerator, SegmentError,
     objects::{ObjectCache, ObjectViews},
+    recall::annotated_images,
 };
 
 /// Searches the images of a target list for the objects of their targets and for as many others of the list that they do not
@@ -44,6 +45,36 @@ pub fn observe_matches(
             }
             search += 1;
         }
+    }
+    progress(images.len(), images.len());
+    Ok(observed)
+}
+
+/// The candidates of all annotated images of a split with their overlap with the objects, at most `limit` images. Images
+/// without depth are left out. `progress` is called with the images done and all images.
+pub fn observe_masks(
+    proposals: &LearnedProposals,
+    split: &BopSplit,
+    limit: usize,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Vec<ObservedMask>, SegmentError> {
+    let images = annotated_images(split, limit)?;
+    let mut observed = Vec::new();
+    for (image, &(scene_id, im_id)) in images.iter().enumerate() {
+        progress(image, images.len());
+        let annotated = split.load(scene_id, im_id)?;
+        let candidates = match proposals.candidates(&annotated.frame) {
+            Err(SegmentError::Scene(error)) => {
+                tracing::warn!("scene {scene_id}, image {im_id}: {error}; left out");
+                continue;
+            }
+            candidates => candidates?,
+        };
+        let truth = || annotated.instances.iter().map(|instance| &instance.mask_visib);
+        observed.extend(candidates.into_iter().map(|(proposal, evidence)| {
+            let iou = truth().map(|mask| mask.iou(&proposal.mask)).fold(0.0, f64::max);
+            ObservedMask { image, iou, evidence }
+        }));
     }
     progress(images.len(), images.len());
     Ok(observed)

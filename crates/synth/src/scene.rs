@@ -36,7 +36,7 @@ pub(super) struct Arrangement {
 /// Draws a scene.
 pub(super) fn arrange(config: &SynthConfig, assets: &SceneAssets, rng: &mut ChaCha8Rng) -> Arrangement {
     let [fewest, most] = config.objects_per_scene;
-    let count = rng.count(fewest.max(1), most.max(1)).min(assets.objects.len());
+    let count = rng.count(fewest, most).min(assets.objects.len());
     let mut objects = draw_alike(&assets.objects, count, rng);
     let others = rng.count(config.distractors[0], config.distractors[1]).min(assets.distractors.len());
     objects.extend(draw(&assets.distractors, others, rng));

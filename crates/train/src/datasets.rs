@@ -91,6 +91,16 @@ impl Datasets {
         Ok(ControlFlow::Continue(Self { training, validation, validation_folder }))
     }
 
+    /// The images to train on.
+    pub fn training_images(&self) -> Arc<ShardDataset> {
+        self.training.clone()
+    }
+
+    /// The images to validate on.
+    pub fn validation_images(&self) -> Arc<ShardDataset> {
+        self.validation.clone()
+    }
+
     /// The stream of training pairs.
     pub fn training_sampler(&self, config: &Config) -> Result<PairSampler, TrainError> {
         self.sampler_prepared_with(config, &config.model)

@@ -55,12 +55,29 @@ pub fn write_training_curves(path: &Path, events: &[Event]) -> Result<(), TrainE
         ],
         range: None,
     }];
+    let recall = |value: fn(&super::journal::ProposalRecall) -> f64| -> Vec<(f64, f64)> {
+        let of = |event: &Event| match event {
+            Event::Validation(record) => Some((record.step as f64, value(record.proposals.as_ref()?))),
+            Event::Step(_) => None,
+        };
+        events.iter().filter_map(of).collect()
+    };
     let areas = validations(|r| r.roc_area.unwrap_or(f64::NAN));
     if areas.iter().any(|(_, area)| area.is_finite()) {
         panels.push(Panel {
             title: "validation: area under the ROC curve of the features".into(),
             curves: vec![curve("same points against others", areas)],
             range: None,
+        });
+    } else if !recall(|r| r.recall_50).is_empty() {
+        panels.push(Panel {
+            title: "validation: proposals".into(),
+            curves: vec![
+                curve("recall at 0.5", recall(|r| r.recall_50)),
+                curve("recall at 0.75", recall(|r| r.recall_75)),
+                curve("mean overlap", recall(|r| r.mean_iou)),
+            ],
+            range: Some((0.0, 1.0)),
         });
     } else {
         panels.extend([

@@ -71,6 +71,24 @@ pub struct ValidationRecord {
     /// against others, mean over the pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub roc_area: Option<f64>,
+    /// Of a proposal network instead of poses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proposals: Option<ProposalRecall>,
+}
+
+/// How well proposals cover the objects of images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ProposalRecall {
+    /// Objects of which at least a tenth is visible.
+    pub objects: usize,
+    /// Share of them with a proposal whose overlap (intersection over union) is at least 0.5.
+    pub recall_50: f64,
+    /// The same at 0.75.
+    pub recall_75: f64,
+    /// Mean over the objects of the best proposal's overlap.
+    pub mean_iou: f64,
+    /// Mean number of proposals per image.
+    pub proposals: f64,
 }
 
 impl Event {
@@ -85,14 +103,21 @@ impl Event {
 
 impl ValidationRecord {
     /// The score by which the best weights are chosen: the average recall, or the mean of the two shares where it is not
-    /// known, or the features' ROC area; the loss decides between equals.
+    /// known, or the features' ROC area, or the proposals' mean overlap; the loss decides between equals.
     pub fn score(&self) -> f64 {
         let poses = || self.average_recall.unwrap_or(0.5 * (self.within_5deg_5cm + self.within_15deg));
-        self.roc_area.unwrap_or_else(poses) - 1e-4 * self.loss.clamp(0.0, 100.0)
+        let proposals = self.proposals.map(|recall| recall.mean_iou);
+        proposals.or(self.roc_area).unwrap_or_else(poses) - 1e-4 * self.loss.clamp(0.0, 100.0)
     }
 
     /// One line of text for people.
     pub fn describe(&self) -> String {
+        if let Some(recall) = self.proposals {
+            return format!(
+                "loss {:.3}, proposal recall {:.3} at 0.5, {:.3} at 0.75, mean overlap {:.3}, {:.1} proposals per image",
+                self.loss, recall.recall_50, recall.recall_75, recall.mean_iou, recall.proposals
+            );
+        }
         if let Some(area) = self.roc_area {
             return format!("loss {:.3}, area under the ROC curve {area:.3}", self.loss);
         }

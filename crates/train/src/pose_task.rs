@@ -4,13 +4,14 @@ use std::path::Path;
 
 use unopose_core::config::Config;
 use unopose_nn::{
-    checkpoint,
+    checkpoint::{self, TensorFile},
     model::{FeatureExtraction, UnoPose},
 };
 use unopose_pairs::data::{PairSampler, TrainSample};
 
 use super::{
     TrainError,
+    bad_batch::describe_pair,
     datasets::Datasets,
     figures, initial_weights,
     journal::ValidationRecord,
@@ -45,6 +46,7 @@ impl<'a> PoseTask<'a> {
 
 impl Task for PoseTask<'_> {
     type Model = UnoPose;
+    type Sampler = PairSampler;
 
     fn network(&self) -> UnoPose {
         UnoPose::new(&self.config.model, self.config.seed, &self.options.device.clone().autodiff())
@@ -61,6 +63,10 @@ impl Task for PoseTask<'_> {
     fn gradients(&self, model: &UnoPose, samples: &[TrainSample]) -> BatchGradients {
         let device = self.options.device.clone().autodiff();
         forward_backward_keeping(model, self.config, samples, &device, self.kept.as_ref())
+    }
+
+    fn describe(&self, index: usize, sample: &TrainSample, file: &mut TensorFile) {
+        describe_pair(index, sample, file);
     }
 
     fn validate(&self, model: &UnoPose) -> Result<Option<ValidationRecord>, TrainError> {

@@ -8,7 +8,7 @@ use std::{
 
 use unopose_core::{config::Config, files::remove_part_files, folder_lock::FolderLock};
 use unopose_nn::device::require_precision;
-use unopose_pairs::data::{BatchStream, TrainSample};
+use unopose_pairs::data::BatchStream;
 
 use super::{
     TrainError, bad_batch,
@@ -23,7 +23,7 @@ use super::{
     replicas::{BatchGradients, TOTAL},
     schedule::{Schedule, TimeBudget},
     state::{self, RunState},
-    task::Task,
+    task::{SampleOf, Task},
 };
 
 /// Trains the pose network in `options.out`, or resumes the run there.
@@ -218,12 +218,16 @@ impl<'a, T: Task> Run<'a, T> {
         Ok(TrainOutcome { stop_reason, step, validations: validations(&events) })
     }
 
-    fn step(&mut self, batches: &mut BatchStream, learning_rate: f64) -> Result<StepRecord, TrainError> {
+    fn step(
+        &mut self,
+        batches: &mut BatchStream<T::Sampler>,
+        learning_rate: f64,
+    ) -> Result<StepRecord, TrainError> {
         let train = &self.config.train;
         let mut record = StepRecord { learning_rate, ..StepRecord::default() };
         for _ in 0..train.accumulation {
-            let samples: Vec<TrainSample> =
-                batches.next().ok_or_else(|| TrainError::Unusable("the training pairs ended".into()))??;
+            let samples: Vec<SampleOf<T>> =
+                batches.next().ok_or_else(|| TrainError::Unusable("the training samples ended".into()))??;
             let BatchGradients { losses, gradients } =
                 self.task.gradients(self.optimization.model(), &samples);
             self.require_finite(&losses, &samples)?;
@@ -245,12 +249,12 @@ impl<'a, T: Task> Run<'a, T> {
     fn require_finite(
         &self,
         losses: &[(String, Vec<f32>)],
-        samples: &[TrainSample],
+        samples: &[SampleOf<T>],
     ) -> Result<(), TrainError> {
         let bad = losses.iter().find_map(|(name, v)| v.iter().find(|v| !v.is_finite()).map(|v| (name, *v)));
         let Some((term, value)) = bad else { return Ok(()) };
         let step = self.optimization.step() + 1;
-        let batch = bad_batch::save(&self.options.out, step, samples, losses)?;
+        let batch = bad_batch::save(&self.task, &self.options.out, step, samples, losses)?;
         Err(TrainError::NonFiniteLoss { step, value: value.into(), term: term.clone(), batch })
     }
 

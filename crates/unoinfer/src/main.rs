@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod calibrate;
 mod calibrate_masks;
+mod calibrate_proposals;
 mod convert;
 mod doctor;
 mod estimate;
@@ -51,6 +52,8 @@ enum Command {
     /// Fit the score of masks that the program finds itself to synthetic images: the probability that a mask is the object of a
     /// reference, and the threshold below which the object is not there
     CalibrateMasks(calibrate_masks::CalibrateMasksArguments),
+    /// Fit what ranks the proposals of a checkpoint of unotrain proposals to synthetic images, and store it in the checkpoint
+    CalibrateProposals(calibrate_proposals::CalibrateProposalsArguments),
     /// Compare methods, classical ones and the network, on the targets of a BOP dataset
     Bench(bench::BenchArguments),
     /// Score a BOP result table
@@ -82,6 +85,7 @@ fn main() -> std::process::ExitCode {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Features(arguments) => features::run(&arguments),
         Command::CalibrateMasks(arguments) => calibrate_masks::run(&arguments),
+        Command::CalibrateProposals(arguments) => calibrate_proposals::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Score(arguments) => score::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),

@@ -6,11 +6,15 @@ use anyhow::bail;
 use clap::Args;
 use unopose_nn::device::{DeviceChoice, keep_freed_memory};
 use unopose_segment::{
-    ListedProposals, ProposalGenerator, RegionProposals, SamProposals, sam::POINTS_PER_SIDE,
+    LearnedProposals, ListedProposals, ProposalGenerator, RegionProposals, SamProposals, sam::POINTS_PER_SIDE,
 };
 
 /// The source without weights.
 pub const EMBEDDED: &str = "embedded";
+
+/// The network's proposals, alone and with those of [`EMBEDDED`]; a file of weights may follow after a colon.
+const LEARNED: &str = "learned";
+const BOTH: &str = "both";
 
 /// Why options of UNOSeg are refused beside other sources of masks.
 pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for --detections unoseg";
@@ -18,7 +22,8 @@ pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for
 /// Source of the proposals in which an object is looked for.
 #[derive(Args)]
 pub struct ProposalOptions {
-    /// Proposals: embedded (from depth and colour), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
+    /// Proposals: embedded (from depth and colour), learned (of a network, embedded too, or learned:FILE of unotrain
+    /// proposals), both (those together, or both:FILE), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
     /// a list of masks of another segmenter (JSON of BOP, COCO or SamAutomaticMaskGenerator) [default: embedded]
     #[arg(long, value_name = "SOURCE")]
     proposals: Option<String>,
@@ -52,7 +57,24 @@ pub fn check_sam_points(sam_points: Option<u16>, sources: &[&str]) -> anyhow::Re
 }
 
 fn is_weights(source: &str) -> bool {
-    Path::new(source).extension().is_some_and(|e| ["pth", "pt", "safetensors"].iter().any(|w| e == *w))
+    !is_learned(source)
+        && Path::new(source).extension().is_some_and(|e| ["pth", "pt", "safetensors"].iter().any(|w| e == *w))
+}
+
+fn is_learned(source: &str) -> bool {
+    let name = source.split_once(':').map_or(source, |(name, _)| name);
+    name == LEARNED || name == BOTH
+}
+
+/// The network's proposals that a source names.
+fn learned(source: &str, device: DeviceChoice) -> anyhow::Result<LearnedProposals> {
+    let device = device.open()?.0;
+    let (name, file) = source.split_once(':').map_or((source, None), |(name, file)| (name, Some(file)));
+    let proposals = match file {
+        Some(file) => LearnedProposals::load(Path::new(file), &device)?,
+        None => LearnedProposals::embedded(&device)?,
+    };
+    Ok(if name == BOTH { proposals.with_regions() } else { proposals })
 }
 
 /// The generator that a source names; `sam_points` is for weights of Segment Anything.
@@ -64,6 +86,7 @@ pub fn generator(
     let path = Path::new(source);
     Ok(match source {
         EMBEDDED => Box::new(RegionProposals),
+        _ if is_learned(source) => Box::new(learned(source, device)?),
         _ if is_weights(source) => {
             // Every batch of clicks takes and frees hundreds of megabytes.
             keep_freed_memory();
@@ -72,4 +95,18 @@ pub fn generator(
         }
         _ => Box::new(ListedProposals::read(path)?),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_learned_source_is_no_file() {
+        assert!(is_learned("both") && is_learned("learned:x/p.safetensors") && !is_learned("learned.json"));
+        assert!(!is_weights("both:p.safetensors") && is_weights("sam.pth"));
+        let device = "flex".parse().unwrap();
+        let message = generator("learned:missing.safetensors", None, device).err().unwrap().to_string();
+        assert!(message.contains("missing.safetensors"), "{message}");
+    }
 }

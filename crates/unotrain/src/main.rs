@@ -19,7 +19,9 @@ use unopose_core::{
 };
 use unopose_eval::report::Table;
 use unopose_nn::device::keep_freed_memory;
-use unopose_train::{StopReason, TrainOptions, TrainOutcome, ValidationRecord, distil, train};
+use unopose_train::{
+    StopReason, TrainOptions, TrainOutcome, ValidationRecord, distil, train, train_proposals,
+};
 
 use progress::ProgressBars;
 
@@ -48,12 +50,26 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         teacher: PathBuf,
     },
+    /// Train the network that proposes masks of unknown objects (`unoinfer --proposals learned`).
+    Proposals {
+        #[command(flatten)]
+        run: RunArguments,
+    },
+}
+
+/// What is trained.
+enum Kind {
+    Pose,
+    /// With the teacher's weights.
+    Encoder(PathBuf),
+    Proposals,
 }
 
 /// Arguments of every kind of training.
 #[derive(Args)]
 struct RunArguments {
-    /// Configuration file, or the name of a built-in one: geo, unopose, distil, smoke [default: geo, with `distil` distil].
+    /// Configuration file, or the name of a built-in one: geo, unopose, distil, proposals, smoke [default: geo; with `distil` and
+    /// `proposals` the one of that name].
     #[arg(long)]
     config: Option<PathBuf>,
     /// Change a configuration value, for example `--set train.steps=2000`. Repeatable.
@@ -127,11 +143,11 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
-    let (arguments, teacher) = match arguments.command {
-        None => (arguments.run, None),
-        Some(Command::Distil { run, teacher }) => (run, Some(teacher)),
+    let (arguments, kind, default) = match arguments.command {
+        None => (arguments.run, Kind::Pose, "geo"),
+        Some(Command::Distil { run, teacher }) => (run, Kind::Encoder(teacher), "distil"),
+        Some(Command::Proposals { run }) => (run, Kind::Proposals, "proposals"),
     };
-    let default = if teacher.is_some() { "distil" } else { "geo" };
     let config = load(arguments.config.as_deref().unwrap_or(Path::new(default)), &arguments.overrides)?;
     if arguments.print_config {
         print_text(&config.to_commented_toml()?);
@@ -159,9 +175,10 @@ fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
         interrupt: interrupt.clone(),
         observer: Arc::new(ProgressBars::default()),
     };
-    let outcome = match &teacher {
-        None => train(&config, &options)?,
-        Some(teacher) => distil(&config, &options, teacher)?,
+    let outcome = match &kind {
+        Kind::Pose => train(&config, &options)?,
+        Kind::Encoder(teacher) => distil(&config, &options, teacher)?,
+        Kind::Proposals => train_proposals(&config, &options)?,
     };
     let weights = Some(out.join("best.safetensors")).filter(|path| path.exists());
     print_summary(&outcome, &config, weights.as_deref());
@@ -197,9 +214,14 @@ fn print_summary(outcome: &TrainOutcome, config: &Config, weights: Option<&Path>
     let first = outcome.validations.first();
     let last = outcome.validations.last().filter(|last| first.is_some_and(|first| first.step != last.step));
     let records: Vec<&ValidationRecord> = first.into_iter().chain(last).collect();
-    let table = match records.iter().all(|record| record.roc_area.is_some()) {
-        true if !records.is_empty() => feature_table(&records),
-        _ => pose_table(&records),
+    let every =
+        |holds: fn(&ValidationRecord) -> bool| !records.is_empty() && records.iter().all(|r| holds(r));
+    let table = if every(|record| record.roc_area.is_some()) {
+        feature_table(&records)
+    } else if every(|record| record.proposals.is_some()) {
+        proposal_table(&records)
+    } else {
+        pose_table(&records)
     };
     print_text(&table.to_string());
     match weights {
@@ -232,6 +254,24 @@ fn feature_table(records: &[&ValidationRecord]) -> Table {
     for record in records {
         let area = record.roc_area.map_or("-".into(), |area| format!("{area:.3}"));
         table.push([format!("step {}", record.step), format!("{:.3}", record.loss), area]);
+    }
+    table
+}
+
+fn proposal_table(records: &[&ValidationRecord]) -> Table {
+    let columns =
+        ["validation", "loss", "recall at 0.5", "recall at 0.75", "mean overlap", "proposals per image"];
+    let mut table = Table::new(columns);
+    for record in records {
+        let Some(recall) = &record.proposals else { continue };
+        table.push([
+            format!("step {}", record.step),
+            format!("{:.3}", record.loss),
+            format!("{:.3}", recall.recall_50),
+            format!("{:.3}", recall.recall_75),
+            format!("{:.3}", recall.mean_iou),
+            format!("{:.1}", recall.proposals),
+        ]);
     }
     table
 }

@@ -20,6 +20,7 @@ mod model;
 mod official;
 mod overrides;
 mod precision;
+mod proposals;
 mod quirks;
 mod schema;
 mod synth;
@@ -38,6 +39,7 @@ pub use model::{
     ModelConfig, OverlapMode,
 };
 pub use precision::Precision;
+pub use proposals::ProposalConfig;
 pub use quirks::Quirks;
 pub use synth::{MeshLayout, MeshSize, SensorConfig, SynthCameraConfig, SynthConfig};
 pub use train::TrainConfig;
@@ -65,6 +67,8 @@ pub struct Config {
     pub loss: LossConfig,
     /// Distillation of the colour encoder (`unotrain distil`).
     pub distil: DistilConfig,
+    /// The network that proposes masks of unknown objects (`unotrain proposals`).
+    pub proposals: ProposalConfig,
     /// Optimisation, its schedule, validation and checkpoints.
     pub train: TrainConfig,
 }
@@ -79,6 +83,7 @@ impl Default for Config {
             model: ModelConfig::default(),
             loss: LossConfig::default(),
             distil: DistilConfig::default(),
+            proposals: ProposalConfig::default(),
             train: TrainConfig::default(),
         }
     }

@@ -30,7 +30,7 @@ pub struct SynthConfig {
     pub indirect_rays: u32,
     /// Images of one scene from different viewpoints.
     pub views_per_scene: usize,
-    /// Fewest and most annotated objects dropped in a scene.
+    /// Fewest and most annotated objects dropped in a scene. From 0 on some scenes are empty.
     pub objects_per_scene: [usize; 2],
     /// Fewest and most further objects in a scene, which are not annotated. 0 and 0: none.
     pub distractors: [usize; 2],

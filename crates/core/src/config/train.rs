@@ -34,7 +34,7 @@ pub struct TrainConfig {
     pub validate_every: u64,
     /// Minutes between validations, where that is sooner than `validate_every`. 0: by steps only.
     pub validate_minutes: f64,
-    /// Pairs per validation.
+    /// Pairs per validation; images of a proposal network.
     pub validation_pairs: usize,
     /// Images of the generated validation set.
     pub validation_images: usize,

@@ -70,6 +70,11 @@ pub(super) fn rules(config: &Config) -> Vec<Rule> {
     rules.synth(&config.synth);
     rules.model(&config.model);
     rules.data(&config.data);
+    for (field, cells) in
+        [("proposals.width", config.proposals.width), ("proposals.height", config.proposals.height)]
+    {
+        rules.require(field, cells, cells.is_multiple_of(16), "a multiple of 16");
+    }
     rules.train(&config.train, &config.model);
     rules.0
 }

@@ -11,6 +11,7 @@ mod correlation;
 mod distortion;
 mod fine_pose;
 mod icosphere;
+mod mean_shift;
 mod mutual_fit;
 mod neighbors;
 mod pose;
@@ -27,6 +28,7 @@ pub use correlation::correlation_assignment;
 pub use distortion::Distortion;
 pub use fine_pose::{FinePose, fine_pose};
 pub use icosphere::icosphere;
+pub use mean_shift::{MeanShift, NO_MODE, mean_shift};
 pub use mutual_fit::MutualFit;
 pub use neighbors::{
     BallGroups, BallQuery, LocalFrames, SignCount, ball_groups, ball_query, local_frames, local_sign_counts,

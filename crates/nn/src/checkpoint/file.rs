@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use burn::tensor::{DType, TensorData};
+use burn::tensor::{DType, TensorData, f16};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use unopose_core::files::{read_regular, write_atomic};
 
@@ -14,6 +14,9 @@ use super::CheckpointError;
 
 /// Metadata entry with the CRC-32 of the other entries and of all tensors' names, shapes and stored bytes.
 const CHECKSUM: &str = "checksum";
+
+/// Metadata entry of a file whose values were rounded to half precision on purpose.
+const HALVES: &str = "half_precision";
 
 /// Contents of a checkpoint file on the host.
 pub struct TensorFile {
@@ -57,7 +60,8 @@ impl TensorFile {
                 *converted.entry(format!("{:?}", view.dtype())).or_default() += 1;
             }
         }
-        for (dtype, count) in converted {
+        let on_purpose = metadata.contains_key(HALVES);
+        for (dtype, count) in converted.into_iter().filter(|_| !on_purpose) {
             tracing::warn!("{}: {count} tensors converted from {dtype} to F32", path.display());
         }
         Ok(Self { tensors, metadata })
@@ -65,11 +69,30 @@ impl TensorFile {
 
     /// Writes the file with its checksum, in one rename: readers see the old file or the new one, never a part.
     pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
+        self.write_as(path, Dtype::F32)
+    }
+
+    /// [`Self::write`] with all values rounded to half precision, for networks that do not notice it. Values beyond 65504, the
+    /// largest half-precision number, are an error.
+    pub fn write_half(mut self, path: &Path) -> Result<(), CheckpointError> {
+        for (name, data) in &mut self.tensors {
+            *data = data.clone().convert::<f16>();
+            if data.iter::<f32>().any(|value| !value.is_finite()) {
+                let message = "has a value beyond 65504, expected one that half precision can hold".into();
+                return Err(CheckpointError::Tensor { path: path.to_owned(), name: name.clone(), message });
+            }
+        }
+        self.metadata.insert(HALVES.into(), "true".into());
+        self.write_as(path, Dtype::F16)
+    }
+
+    /// Values are stored as `dtype` already.
+    fn write_as(&self, path: &Path, dtype: Dtype) -> Result<(), CheckpointError> {
         let views: Vec<(&String, TensorView<'_>)> = self
             .tensors
             .iter()
             .map(|(name, data)| {
-                let view = TensorView::new(Dtype::F32, data.shape().to_vec(), data.as_bytes());
+                let view = TensorView::new(dtype, data.shape().to_vec(), data.as_bytes());
                 view.map(|view| (name, view)).map_err(|e| CheckpointError::Tensor {
                     path: path.to_owned(),
                     name: name.clone(),

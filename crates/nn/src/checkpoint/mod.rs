@@ -35,7 +35,7 @@ use burn::{
 };
 use unopose_core::config::{Config, ConfigError, ModelConfig};
 
-use crate::model::UnoPose;
+use crate::model::{ProposalNetwork, UnoPose};
 
 /// Version of the file layout; a reader refuses any other.
 const FORMAT_VERSION: &str = "1";
@@ -90,6 +90,22 @@ pub fn load_bytes(
 ) -> Result<(UnoPose, Config, Meta), CheckpointError> {
     let path = Path::new(name);
     from_file(TensorFile::from_bytes(bytes, path)?, path, device)
+}
+
+/// The proposal network in the bytes of a checkpoint, its configuration and the rest of the metadata; `name` is only for
+/// messages. Weights of any other kind are listed as missing and unknown tensors.
+pub fn load_proposals(
+    bytes: &[u8],
+    name: &str,
+    device: &Device,
+) -> Result<(ProposalNetwork, Config, Meta), CheckpointError> {
+    let path = Path::new(name);
+    let file = TensorFile::from_bytes(bytes, path)?;
+    let config =
+        config_of(&file, path)?.ok_or_else(|| metadata_error(path, "config", "absent", "a configuration"))?;
+    let meta = meta_of(&file, path)?;
+    let network = ProposalNetwork::new(&config.proposals, config.seed, device);
+    Ok((fill(network, file, path, None)?, config, meta))
 }
 
 fn from_file(

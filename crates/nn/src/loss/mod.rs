@@ -3,10 +3,12 @@
 
 mod distil;
 mod labels;
+mod proposals;
 mod terms;
 
 pub use distil::{FeaturePair, distil_losses, structure};
 pub use labels::{MatchLabels, pairwise_distance};
+pub use proposals::{SceneBatch, proposal_losses};
 pub use terms::{info_nce, soft_correspondence, weighted_bce};
 
 use burn::tensor::Tensor;

@@ -41,6 +41,9 @@ pub enum DataError {
         /// Pixels of the mask.
         masked: usize,
     },
+    /// An image whose objects are looked for has no depth.
+    #[error("no pixel of the depth image is measured, expected a depth image registered to the colour image")]
+    NoSceneDepth,
     /// Too few query points are near enough to their mean for an object of the reference's size.
     #[error(
         "{count} of the query's {total} points lie within 1.2 reference radii ({limit:.3} m) of their mean, expected \
@@ -105,6 +108,16 @@ pub enum DataError {
         image: u32,
         /// Index of the instance in the image's annotation.
         instance: u32,
+    },
+    /// The dataset has no image that can be read.
+    #[error("sample {index}: {attempts} images in a row cannot be used, the last because {last}")]
+    UnusableImages {
+        /// Number of the sample.
+        index: u64,
+        /// Images that were tried.
+        attempts: usize,
+        /// Why the last one could not be used.
+        last: Box<DataError>,
     },
     /// A worker thread panicked.
     #[error("preparing sample {index} failed: {message}")]

@@ -14,6 +14,7 @@ mod pairs;
 mod plausible;
 mod pose_noise;
 mod prepare;
+mod scene;
 mod selection;
 mod stream;
 
@@ -28,4 +29,8 @@ pub use prepare::{
     CloudInput, PreparedReference, metric_pose, normalised_pose, positional_groups, prepare_query,
     prepare_reference, query_from_points, reference_from_points,
 };
-pub use stream::BatchStream;
+pub use scene::{
+    CLASSES, GEOMETRY_CHANNELS, INPUT_CHANNELS, ProposalMaps, SceneInput, SceneInstance, SceneSample,
+    SceneSampler, SceneTarget, scene_instances,
+};
+pub use stream::{BatchStream, SampleSource};

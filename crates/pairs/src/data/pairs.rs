@@ -17,7 +17,7 @@ use unopose_dataset::formats::{
 };
 
 use super::{
-    CloudInput, DataError, PreparedReference,
+    CloudInput, DataError, PreparedReference, SampleSource,
     augmentation::{AugmentedPair, augmented_pair},
     frame_cache::{CachedFrame, CachedInstance, FrameCache},
     label::{overlap_share, relative_pose},
@@ -261,6 +261,14 @@ impl PairSampler {
         let moved: Vec<[f32; 3]> = query.points.iter().map(|p| t_reference_init.transform_f32(p)).collect();
         let query_groups = positional_groups(&moved, &self.model);
         TrainSample { query, reference, t_query_reference, t_init, query_groups, key }
+    }
+}
+
+impl SampleSource for PairSampler {
+    type Sample = TrainSample;
+
+    fn training_sample(&self, index: u64) -> Result<TrainSample, DataError> {
+        self.sample(index, true)
     }
 }
 

@@ -7,45 +7,48 @@ use std::{
     thread::JoinHandle,
 };
 
-use super::{DataError, PairSampler, TrainSample};
+use super::DataError;
+
+/// Where the samples of a stream come from.
+pub trait SampleSource: Send + Sync + 'static {
+    /// A prepared sample.
+    type Sample: Send + 'static;
+
+    /// Augmented sample number `index`, a pure function of it.
+    fn training_sample(&self, index: u64) -> Result<Self::Sample, DataError>;
+}
 
 /// Endless batches of augmented samples. Batch b holds the samples `start + b * batch ..`. After an error the stream
 /// ends. Dropping it stops the workers.
-pub struct BatchStream {
-    shared: Arc<Shared>,
+pub struct BatchStream<S: SampleSource> {
+    shared: Arc<Shared<S::Sample>>,
     workers: Vec<JoinHandle<()>>,
     batch: usize,
     /// First sample of the next batch.
     next: u64,
 }
 
-struct Shared {
-    state: Mutex<State>,
+struct Shared<T> {
+    state: Mutex<State<T>>,
     /// A sample was finished.
     finished: Condvar,
     /// The window moved or the stream was dropped.
     window_moved: Condvar,
 }
 
-struct State {
+struct State<T> {
     /// Next sample to be claimed by a worker.
     claim: u64,
     /// Samples below this may be prepared.
     window_end: u64,
-    done: BTreeMap<u64, Result<TrainSample, DataError>>,
+    done: BTreeMap<u64, Result<T, DataError>>,
     stopped: bool,
 }
 
-impl BatchStream {
+impl<S: SampleSource> BatchStream<S> {
     /// Starts `workers` threads (at least 1) that keep up to `ahead` batches beyond the current one prepared, from
     /// sample `start_index` on.
-    pub fn new(
-        sampler: Arc<PairSampler>,
-        start_index: u64,
-        batch: usize,
-        workers: usize,
-        ahead: usize,
-    ) -> Self {
+    pub fn new(sampler: Arc<S>, start_index: u64, batch: usize, workers: usize, ahead: usize) -> Self {
         let batch = batch.max(1);
         let shared = Arc::new(Shared {
             state: Mutex::new(State {
@@ -60,7 +63,7 @@ impl BatchStream {
         let workers = (0..workers.max(1))
             .map(|_| {
                 let (shared, sampler) = (shared.clone(), sampler.clone());
-                std::thread::spawn(move || shared.work(&sampler))
+                std::thread::spawn(move || shared.work(&*sampler))
             })
             .collect();
         Self { shared, workers, batch, next: start_index }
@@ -72,8 +75,8 @@ impl BatchStream {
     }
 }
 
-impl Iterator for BatchStream {
-    type Item = Result<Vec<TrainSample>, DataError>;
+impl<S: SampleSource> Iterator for BatchStream<S> {
+    type Item = Result<Vec<S::Sample>, DataError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let mut samples = Vec::with_capacity(self.batch);
@@ -101,7 +104,7 @@ impl Iterator for BatchStream {
     }
 }
 
-impl Drop for BatchStream {
+impl<S: SampleSource> Drop for BatchStream<S> {
     fn drop(&mut self) {
         self.shared.lock().stopped = true;
         self.shared.window_moved.notify_all();
@@ -112,16 +115,16 @@ impl Drop for BatchStream {
     }
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
+impl<T: Send> Shared<T> {
+    fn lock(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn work(&self, sampler: &PairSampler) {
+    fn work<S: SampleSource<Sample = T>>(&self, sampler: &S) {
         // A pool of its own keeps the geometry out of the global pool, where training runs.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
         while let Some(index) = self.claim() {
-            let prepare = || sampler.sample(index, true);
+            let prepare = || sampler.training_sample(index);
             let prepare = || pool.as_ref().map_or_else(|_| prepare(), |pool| pool.install(prepare));
             let sample = catch_unwind(AssertUnwindSafe(prepare))
                 .unwrap_or_else(|panic| Err(DataError::Worker { index, message: message_of(&*panic) }));

@@ -49,7 +49,12 @@ impl ProposalGenerator for RegionProposals {
     }
 }
 
-fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
+pub(crate) fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
+    distinct(all_candidates(frame))
+}
+
+/// The best nodes of every partition's merge trees, some of them nearly equal.
+pub(crate) fn all_candidates(frame: &RgbdFrame) -> Vec<Proposal> {
     let mut grid = Grid::new(frame, SIDE);
     let background = fill_and_background(&mut grid);
     let solid: Vec<bool> = background.iter().map(|behind| !behind).collect();
@@ -59,7 +64,7 @@ fn propose(frame: &RgbdFrame) -> Vec<Proposal> {
         proposals.extend(candidates(&grid, &solid, color, &hierarchy::STRATEGIES, 1.0));
     }
     proposals.extend(candidates(&grid, &flat, COLOR_WEIGHTS[0], &[hierarchy::COLOR_FIRST], FLAT));
-    distinct(proposals)
+    proposals
 }
 
 /// Where an image may show objects.
@@ -88,7 +93,7 @@ impl ObjectCells {
 }
 
 /// Best first, without those that a better one nearly equals.
-fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
+pub(crate) fn distinct(mut proposals: Vec<Proposal>) -> Vec<Proposal> {
     proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut kept: Vec<Proposal> = Vec::new();
     for proposal in proposals {

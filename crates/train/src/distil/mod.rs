@@ -11,11 +11,15 @@ use std::path::Path;
 use burn::{module::Module, optim::GradientsParams};
 use rayon::prelude::*;
 use unopose_core::config::{ColorConfig, Config, ConfigError, ModelConfig, Precision};
-use unopose_nn::{checkpoint, model::Student};
+use unopose_nn::{
+    checkpoint::{self, TensorFile},
+    model::Student,
+};
 use unopose_pairs::data::{PairSampler, TrainSample};
 
 use super::{
     TrainError,
+    bad_batch::describe_pair,
     datasets::Datasets,
     journal::ValidationRecord,
     options::{TrainOptions, TrainOutcome},
@@ -88,6 +92,7 @@ impl<'a> DistilTask<'a> {
 
 impl Task for DistilTask<'_> {
     type Model = Student;
+    type Sampler = PairSampler;
 
     fn network(&self) -> Student {
         let device = self.options.device.clone().autodiff();
@@ -126,6 +131,10 @@ impl Task for DistilTask<'_> {
             gradients.push(own);
         }
         BatchGradients { losses, gradients }
+    }
+
+    fn describe(&self, index: usize, sample: &TrainSample, file: &mut TensorFile) {
+        describe_pair(index, sample, file);
     }
 
     fn validate(&self, student: &Student) -> Result<Option<ValidationRecord>, TrainError> {

@@ -172,7 +172,9 @@ pub fn read_state(run: &Path) -> Result<Option<(u64, RunState)>, TrainError> {
 /// Deletes what a run has written into its folder.
 pub fn clear(run: &Path) -> Result<(), TrainError> {
     // The best weights first: without a state they would be those to beat.
-    for name in ["best.safetensors", "curves.svg", "poses.png", "metrics.jsonl", "last.safetensors"] {
+    for name in
+        ["best.safetensors", "curves.svg", "poses.png", "proposals.png", "metrics.jsonl", "last.safetensors"]
+    {
         let path = run.join(name);
         match fs::remove_file(&path) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(io(&path)(e)),
