@@ -24,7 +24,7 @@ use unopose_segment::{AnyMatcher, Matcher, ProposalGenerator};
 use super::{
     options::SplitOptions,
     progress::ProgressDisplay,
-    proposals::{EMBEDDED, FOR_UNOSEG, check_sam_points, generator},
+    proposals::{FOR_UNOSEG, check_sam_points, default_source, generator},
     score::print_unused,
     segment_dataset::{DatasetFiles, NOT_SCORED, segment_dataset},
 };
@@ -74,8 +74,8 @@ pub struct BenchArguments {
     #[arg(long, value_name = "gt|unoseg|JSON", default_value = "gt")]
     detections: DetectionSource,
     /// Proposals of unoseg, several separated by commas for a table of each in OUT/PROPOSALS: embedded (from depth and
-    /// colour), weights of Segment Anything or MobileSAM, or a list of masks of another segmenter in the COCO/BOP form
-    /// [default: embedded]
+    /// colour), learned (of a network), both, weights of Segment Anything or MobileSAM, or a list of masks of another
+    /// segmenter in the COCO/BOP form [default: both]
     #[arg(long, value_name = "SOURCES", value_delimiter = ',')]
     proposals: Vec<String>,
     /// With weights of Segment Anything: clicks per side of its grid [default: 32]
@@ -218,7 +218,7 @@ fn unoseg_masks(arguments: &BenchArguments) -> anyhow::Result<Vec<UnoSegMasks>> 
         bail!("--detections unoseg takes the real reference images, not those of the protocol rendered");
     }
     let sources: Vec<&str> = match arguments.proposals.as_slice() {
-        [] => vec![EMBEDDED],
+        [] => vec![default_source()],
         sources => sources.iter().map(String::as_str).collect(),
     };
     check_sam_points(arguments.sam_points, &sources)?;
@@ -281,7 +281,7 @@ fn view_pairs(arguments: &BenchArguments, list: &Path, methods: &[Method]) -> an
         }
         DetectionSource::UnoSeg(()) => {
             let source = match arguments.proposals.as_slice() {
-                [] => EMBEDDED,
+                [] => default_source(),
                 [source] => source,
                 several => bail!("--proposals has {} sources, expected one for pairs", several.len()),
             };

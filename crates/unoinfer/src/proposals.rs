@@ -10,11 +10,16 @@ use unopose_segment::{
 };
 
 /// The source without weights.
-pub const EMBEDDED: &str = "embedded";
+const EMBEDDED: &str = "embedded";
 
 /// The network's proposals, alone and with those of [`EMBEDDED`]; a file of weights may follow after a colon.
 const LEARNED: &str = "learned";
 const BOTH: &str = "both";
+
+/// The source when none is named: [`BOTH`] where the program has the network's weights.
+pub fn default_source() -> &'static str {
+    if LearnedProposals::are_embedded() { BOTH } else { EMBEDDED }
+}
 
 /// Why options of UNOSeg are refused beside other sources of masks.
 pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for --detections unoseg";
@@ -24,7 +29,7 @@ pub const FOR_UNOSEG: &str = "--descriptor, --proposals and --sam-points are for
 pub struct ProposalOptions {
     /// Proposals: embedded (from depth and colour), learned (of a network, embedded too, or learned:FILE of unotrain
     /// proposals), both (those together, or both:FILE), weights of Segment Anything or MobileSAM (.pth, .pt, .safetensors), or
-    /// a list of masks of another segmenter (JSON of BOP, COCO or SamAutomaticMaskGenerator) [default: embedded]
+    /// a list of masks of another segmenter (JSON of BOP, COCO or SamAutomaticMaskGenerator) [default: both]
     #[arg(long, value_name = "SOURCE")]
     proposals: Option<String>,
     /// With weights of Segment Anything: clicks per side of its grid [default: 32]
@@ -39,7 +44,7 @@ impl ProposalOptions {
     }
 
     pub fn generator(&self, device: DeviceChoice) -> anyhow::Result<Box<dyn ProposalGenerator>> {
-        let source = self.proposals.as_deref().unwrap_or(EMBEDDED);
+        let source = self.proposals.as_deref().unwrap_or(default_source());
         check_sam_points(self.sam_points, &[source])?;
         generator(source, self.sam_points, device)
     }

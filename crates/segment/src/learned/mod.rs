@@ -43,6 +43,11 @@ pub struct LearnedProposals {
 }
 
 impl LearnedProposals {
+    /// Whether the program has weights.
+    pub fn are_embedded() -> bool {
+        PROPOSALS.is_some()
+    }
+
     /// The weights in the program.
     pub fn embedded(device: &Device) -> Result<Self, SegmentError> {
         let bytes = PROPOSALS.ok_or(SegmentError::NoProposalWeights)?;
