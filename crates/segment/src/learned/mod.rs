@@ -176,9 +176,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("p.safetensors");
         let device = Device::flex();
-        let mut config = Config::default();
-        config.proposals =
+        let proposals =
             ProposalConfig { width: 32, height: 32, channels: [2, 4, 4, 4], ..ProposalConfig::default() };
+        let config = Config { proposals, ..Config::default() };
         let network = ProposalNetwork::new(&config.proposals, 1, &device);
         checkpoint::save(&path, &network, &config, &Meta::default()).unwrap();
         let learned = LearnedProposals::load(&path, &device).unwrap();

@@ -301,8 +301,8 @@ mod tests {
         let cell = 8 * 32 + 20;
         let p = input.points[cell];
         assert!(((0..3).map(|i| n[i] * p[i]).sum::<f32>() - h).abs() < 5e-3, "{p:?}");
-        for axis in 0..3 {
-            assert!((at(4 + axis, cell) - n[axis]).abs() < 5e-3, "axis {axis}: {}", at(4 + axis, cell));
+        for (axis, n) in n.into_iter().enumerate() {
+            assert!((at(4 + axis, cell) - n).abs() < 5e-3, "axis {axis}: {}", at(4 + axis, cell));
         }
         assert!((at(9, cell) - (0.2 - 0.45) / 0.25).abs() < 1e-5 && (at(11, cell) - 2.2).abs() < 1e-5);
         assert_eq!((at(3, 0), at(3, cell), input.measured[0]), (0.0, 1.0, false));
